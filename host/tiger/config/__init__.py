@@ -1,0 +1,1 @@
+"""robot.toml and the presets: checked, frozen models of everything a number can be."""

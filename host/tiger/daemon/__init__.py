@@ -1,0 +1,1 @@
+"""The host daemon: supervisor, controller, and the one loop with time and ports."""

@@ -1,0 +1,1 @@
+"""What the host talks to, one file per device."""

@@ -1,0 +1,1 @@
+"""The emulated robot: world, drives, and the real firmware on virtual pins."""

@@ -1,0 +1,1 @@
+"""Logs: write, read, replay, plot."""

@@ -1,0 +1,1 @@
+"""The wire: generated messages, framing, links and clock synchronisation."""

@@ -1,0 +1,1 @@
+"""Daemon and emulated robot in one process, in lock-step virtual time."""
