@@ -1,8 +1,8 @@
 """The numbers of one vehicle: checked, frozen, loaded from a preset or a TOML file.
 
-Presets: `tiger` (the robot, Tables 3.1-3.3), `table-5-1` and `table-6-1` (the cars of the dissertation's
-simulations). Each value in a preset file is marked printed or chosen. SI units, except millimetres for the
-actuator's stroke and the mechanism's points; the unit ends each key's name.
+Presets: `tiger` (the robot, Tables 3.1-3.3), `tiger-b` (the same on longer arms), `table-5-1` and `table-6-1`
+(the cars of the dissertation's simulations). Each value in a preset file is marked printed or chosen. SI
+units, except millimetres for the actuator's stroke and the mechanism's points; the unit ends each key's name.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -154,10 +154,24 @@ def preset_names() -> tuple[str, ...]:
 
 
 def load_vehicle(name_or_path: str | Path) -> VehicleConfig:
-    """Load a preset by name, or a TOML file by path (anything that ends in .toml or names a folder).
+    """Load a preset by name, or a TOML file by path (a name that ends in .toml or has a slash is a path).
 
+    A file may say `extends = "tiger"` (a preset's name) and then give only the keys that differ.
     Raises ConfigError: one line per wrong key, with the key's path, the value, the limit and the next step.
     """
+    values = _read(name_or_path)
+    base = values.pop("extends", None)
+    if base is not None:
+        if base not in preset_names():
+            raise ConfigError(f"{name_or_path}: extends = {base!r} is not a preset; {_known_presets()}")
+        values = _merged(_read(base), values)
+    try:
+        return VehicleConfig.model_validate(values)
+    except ValidationError as error:
+        raise ConfigError.from_validation(error, str(name_or_path)) from error
+
+
+def _read(name_or_path: str | Path) -> dict[str, Any]:
     source = str(name_or_path)
     if isinstance(name_or_path, Path) or source.endswith(".toml") or "/" in source:
         try:
@@ -167,11 +181,24 @@ def load_vehicle(name_or_path: str | Path) -> VehicleConfig:
     elif source in preset_names():
         text = (resources.files("tiger.config") / "presets" / f"{source}.toml").read_text(encoding="utf-8")
     else:
-        known = ", ".join(preset_names())
-        raise ConfigError(f"vehicle {source!r} is not known; use one of {known}, or the path of a .toml file")
+        raise ConfigError(
+            f"vehicle {source!r} is not known; {_known_presets()}, or give a path to a .toml file"
+        )
     try:
-        return VehicleConfig.model_validate(tomllib.loads(text))
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{source}: is not valid TOML ({error}); correct that line") from error
-    except ValidationError as error:
-        raise ConfigError.from_validation(error, source) from error
+
+
+def _known_presets() -> str:
+    return f"use one of {', '.join(preset_names())}"
+
+
+def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in changes.items():
+        section = merged.get(key)
+        # Another kind of actuator has other keys: nothing of the base applies.
+        same_kind = isinstance(section, dict) and isinstance(value, dict) and "kind" not in value
+        merged[key] = {**section, **value} if same_kind else value  # type: ignore[dict-item]
+    return merged

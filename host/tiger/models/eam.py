@@ -1,17 +1,18 @@
 """The elastic actuated mechanism (EAM) of one corner: from actuator stroke to wheel, exactly and fast.
 
-`Eam` solves the dissertation's eqs. 4.1-4.4: five bodies in the plane (1 robot body, 2 rocker, 3 damper taken as
-rigid, 4 lower arm, 5 wheel carrier), fifteen coordinates `q = [y_i, z_i, phi_i]`, fourteen kinematic constraints
-and the stroke as the driving one. `LiftCurve` is its fast interpolant for loops that run a thousand times a second.
+`Eam` solves the dissertation's eqs. 4.1-4.4: five bodies in the plane (1 robot body, 2 rocker, 3 damper taken
+as rigid, 4 lower arm, 5 wheel carrier), fifteen coordinates `q = [y_i, z_i, phi_i]`, fourteen kinematic
+constraints and the stroke as the driving one. `LiftCurve` is its fast interpolant for control loops.
 
-Plane of one corner: y outboard, z up, origin on the ground below the lower-arm pivot P8; angles counter-clockwise
-with y right and z up, so the arm's `phi_4` is minus the arm angle (positive = robot body raised). Lengths in mm.
-Arrays are vectorised over strokes: shape (n,) of strokes gives (n, 15) of coordinates.
+Plane of one corner: y outboard, z up, origin on the ground below the lower-arm pivot P8; angles
+counter-clockwise with y right and z up, so `phi_4` is minus the arm angle (positive = robot body raised).
+Lengths in mm. Arrays are vectorised over strokes: (n,) of strokes gives (n, 15) of coordinates.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,8 +29,9 @@ RESIDUAL_LIMIT = 1e-12
 """Newton stops below this scaled residual (lengths over the arm length, angles in rad)."""
 
 _MAX_ITERATIONS = 12
-_TABLE_STEP_MM = 5.0
-_CURVE_STEP_MM = 1.0
+_TABLE_STEP_MM = 2.0
+_SLACK_MM = 1e-6
+"""Rounding that still counts as inside the range."""
 
 
 class MechanismError(ValueError):
@@ -85,7 +87,7 @@ class Eam:
         self.length_at_zero_stroke_mm = length_at_zero_stroke_mm
         self.wheel_radius_mm = wheel_radius_mm
 
-        # Inside, lengths are counted in arm lengths: Jacobian entries are then of order one, like the angles'.
+        # Inside, lengths are counted in arm lengths: Jacobian entries are then of order one.
         self._unit_mm = mechanism.arm_length_mm
         origin = np.zeros(2)
         self._p1 = np.array(mechanism.actuator_anchor_mm) / self._unit_mm
@@ -128,11 +130,11 @@ class Eam:
             wheel_radius_mm=vehicle.tire.rolling_radius_m * 1000.0,
         )
 
-    # ---- what users ask ---------------------------------------------------------------------------------------
+    # ---- what users ask ---------------------------------------
 
     def pose(self, stroke_mm: ArrayLike) -> EamPose:
         """Solve the mechanism at each stroke. Raises MechanismError for a stroke outside 0..stroke_max_mm."""
-        strokes = np.asarray(stroke_mm, dtype=float)
+        strokes = _within(stroke_mm, self.stroke_max_mm, "stroke")
         flat = np.atleast_1d(strokes).ravel()
         q = self.assemble(flat)
         ratio = self.velocity(q, flat, 1.0)[:, 1]
@@ -157,9 +159,8 @@ class Eam:
 
         Raises MechanismError for a rise that no stroke gives.
         """
-        rises = np.asarray(rise_mm, dtype=float)
         highest = float(self.pose(self.stroke_max_mm).rise_mm)
-        _require_range(rises, highest, "rise")
+        rises = _within(rise_mm, highest, "rise")
         strokes = np.interp(rises, self._table_q[:, 1] * self._unit_mm - self._rise_origin_mm, self._table_mm)
         for _ in range(_MAX_ITERATIONS):
             pose = self.pose(strokes)
@@ -171,11 +172,10 @@ class Eam:
 
     def curve(self) -> LiftCurve:
         """Build the fast interpolant of rise against stroke."""
-        strokes = np.linspace(0.0, self.stroke_max_mm, round(self.stroke_max_mm / _CURVE_STEP_MM) + 1)
-        pose = self.pose(strokes)
-        return LiftCurve(strokes, pose.rise_mm, pose.motion_ratio)
+        pose = self.pose(self._table_mm)
+        return LiftCurve(pose.stroke_mm, pose.rise_mm, pose.motion_ratio)
 
-    # ---- eqs. 4.2 to 4.4 --------------------------------------------------------------------------------------
+    # ---- eqs. 4.2 to 4.4 --------------------------------------
 
     def assemble(self, stroke_mm: ArrayLike, guess: Array | None = None) -> Array:
         """Return the coordinates q, (n, 15), that satisfy eq. 4.2 at strokes (n,), in the designed assembly.
@@ -183,8 +183,7 @@ class Eam:
         `guess` (n, 15) replaces the built-in starting point. Raises MechanismError for strokes outside the
         range, where Newton finds no assembly, and where it finds the wrong one.
         """
-        strokes = np.atleast_1d(np.asarray(stroke_mm, dtype=float))
-        _require_range(strokes, self.stroke_max_mm, "stroke")
+        strokes = np.atleast_1d(_within(stroke_mm, self.stroke_max_mm, "stroke"))
         start = self._guess(strokes) if guess is None else self._scaled(guess)
         q, _ = self._newton(strokes, start)
         self._require_assembly(strokes, q)
@@ -276,13 +275,14 @@ class Eam:
         """Vector from P1 to P2."""
         return _point(q, 1, self._p2) - _point(q, 0, self._p1)
 
-    # ---- Newton and the assembly ------------------------------------------------------------------------------
+    # ---- Newton and the assembly ------------------------------
 
     def _newton(self, strokes: Array, start: Array) -> tuple[Array, int]:
         """Solve eq. 4.2 from `start`; returns the scaled coordinates and the iterations used."""
         q = start.copy()
         for iteration in range(_MAX_ITERATIONS + 1):
-            phi = self._constraints(q, strokes)
+            with np.errstate(over="ignore", invalid="ignore"):  # a diverging start may leave the numbers
+                phi = self._constraints(q, strokes)
             if np.all(np.abs(phi) < RESIDUAL_LIMIT):
                 return q, iteration
             q = q - _solve(self._jacobian(q), phi)
@@ -290,7 +290,8 @@ class Eam:
         error[~np.isfinite(error)] = np.inf
         worst = strokes[np.argmax(error)]
         raise MechanismError(
-            f"no assembly at stroke {worst:.3f} mm (actuator {self.length_at_zero_stroke_mm + worst:.1f} mm); "
+            f"no assembly at stroke {worst:.3f} mm "
+            f"(actuator length {self.length_at_zero_stroke_mm + worst:.1f} mm); "
             "check the [eam] points, or start nearer to the solution"
         )
 
@@ -303,7 +304,7 @@ class Eam:
             )
 
     def _transmission_angles(self, q: Array) -> tuple[Array, Array]:
-        """Signed angles actuator-rocker at P2 and damper-arm at P9. A sign is one way to assemble a triangle."""
+        """Signed angles actuator-rocker at P2 and damper-arm at P9; a sign is one of two ways to assemble."""
         p2, p9 = _point(q, 1, self._p2), _point(q, 3, self._p9)
         rocker = p2 - _point(q, 0, self._p4)
         damper, arm = p9 - _point(q, 1, self._p3), p9 - _point(q, 0, np.zeros(2))
@@ -316,12 +317,13 @@ class Eam:
         self._assembly = np.sign(np.stack(self._transmission_angles(q), axis=-1))[0]
         if abs(-q[0, 11] - self.mechanism.arm_angle_at_zero_stroke_rad) > 0.2:
             raise MechanismError(
-                f"the arm stands at {-q[0, 11]:.3f} rad at zero stroke, but eam.arm_angle_at_zero_stroke_rad = "
-                f"{self.mechanism.arm_angle_at_zero_stroke_rad:.3f}; correct it or the points"
+                f"the arm stands at {-q[0, 11]:.3f} rad at zero stroke, but "
+                f"eam.arm_angle_at_zero_stroke_rad = {self.mechanism.arm_angle_at_zero_stroke_rad:.3f}; "
+                "correct it or the points"
             )
         rows = [q]
         step = strokes[1] - strokes[0]
-        for before, stroke in zip(strokes[:-1], strokes[1:], strict=True):
+        for before, stroke in pairwise(strokes):
             speed = self._scaled(self.velocity(self._in_mm(rows[-1]), before, step))
             q, _ = self._newton(np.array([stroke]), rows[-1] + speed)
             self._require_assembly(np.array([stroke]), q)
@@ -334,7 +336,10 @@ class Eam:
         return strokes, table
 
     def _first_guess(self) -> Array:
-        """Draw the linkage at zero stroke from the configured arm angle: of two ways, the one nearest in length."""
+        """Draw the linkage at zero stroke from the configured arm angle.
+
+        Of the two ways to place the rocker, take the one whose actuator length is nearer to the given one.
+        """
         phi_4 = -self.mechanism.arm_angle_at_zero_stroke_rad
         height = (self.wheel_radius_mm / self._unit_mm) - np.sin(phi_4)
         p9 = _rotation(phi_4) @ self._p9
@@ -353,17 +358,18 @@ class Eam:
             )
         if not guesses:
             raise MechanismError(
-                f"no assembly: the damper ({self.mechanism.damper_length_mm} mm) does not reach from the rocker "
-                "to the arm at zero stroke; check the [eam] points"
+                f"no assembly: the damper ({self.mechanism.damper_length_mm} mm) does not reach from the "
+                "rocker to the arm at zero stroke; check the [eam] points"
             )
-        return np.array([guesses[int(np.argmin(errors))]])
+        return np.asarray([guesses[int(np.argmin(errors))]], dtype=float)
 
     def _guess(self, strokes: Array) -> Array:
         """Nearest row of the table, moved along its tangent."""
         step = self._table_mm[1] - self._table_mm[0]
         nearest = np.rint(strokes / step).astype(int)
         q, at = self._table_q[nearest], self._table_mm[nearest]
-        return q + self._scaled(self.velocity(self._in_mm(q), at, strokes - at))
+        tangent = self._scaled(self.velocity(self._in_mm(q), at, strokes - at))
+        return np.asarray(q + tangent)
 
     def _scaled(self, q: Array) -> Array:
         scaled = np.array(q, dtype=float).reshape(-1, BODIES, 3)
@@ -377,7 +383,7 @@ class Eam:
 
 
 class LiftCurve:
-    """Rise of the robot body against stroke: cubic Hermite pieces on equal steps, within 1 um of `Eam`.
+    """Rise of the robot body against stroke: cubic Hermite pieces on equal steps, well within 1 um of `Eam`.
 
     A stroke outside the range counts as the end it passed: a noisy potentiometer at an end stop is no error.
     """
@@ -424,7 +430,7 @@ class LiftCurve:
         return ((c3 * x + c2) * x + c1) * x + c0, (3.0 * c3 * x + 2.0 * c2) * x + c1
 
 
-# ---- plane geometry, vectorised over rows of q ------------------------------------------------------------------
+# ---- plane geometry, vectorised over rows of q ------------
 
 
 def _arm(q: Array, body: int, point: Array) -> Array:
@@ -477,15 +483,18 @@ def _circle_crossings(centre_a: Array, radius_a: float, centre_b: Array, radius_
 
 def _solve(matrix: Array, right: Array) -> Array:
     try:
-        return np.linalg.solve(matrix, right[..., None])[..., 0]
+        return np.asarray(np.linalg.solve(matrix, right[..., None])[..., 0], dtype=float)
     except np.linalg.LinAlgError as error:
         raise MechanismError("the mechanism is at a dead point; check the [eam] points") from error
 
 
-def _require_range(values: Array, highest: float, name: str) -> None:
-    inside = (values >= 0.0) & (values <= highest)  # NaN is outside too
+def _within(values: ArrayLike, highest: float, name: str) -> Array:
+    """Return the values as an array within 0..highest, or raise MechanismError (NaN is outside too)."""
+    array = np.asarray(values, dtype=float)
+    inside = (array >= -_SLACK_MM) & (array <= highest + _SLACK_MM)
     if not np.all(inside):
-        bad = float(np.ravel(values)[np.argmin(np.ravel(inside))])
+        bad = float(np.ravel(array)[np.argmin(np.ravel(inside))])
         raise MechanismError(
-            f"{name} {bad:g} mm is outside 0..{highest:g} mm; stay within the actuator's stroke"
+            f"{name} {bad:g} mm is outside 0..{highest:g} mm; stay within the actuator's range"
         )
+    return np.asarray(np.clip(array, 0.0, highest))
