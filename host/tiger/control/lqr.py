@@ -26,8 +26,8 @@ class Regulator:
 def dlqr(a: Array, b: Array, q: Array, r: Array, n: Array | None = None) -> Regulator:
     """Minimise sum x'Q x + u'R u + 2 x'N u for x[k+1] = A x + B u.
 
-    a (n, n), b (n, m), q (n, n), r (m, m), n (n, m) or None. G = (R + B'PB)^-1 (B'PA + N'), where (6.25) prints R^-1
-    for R. Raises ValueError where no stabilising solution exists.
+    a (n, n), b (n, m), q (n, n), r (m, m), n (n, m) or None. G = (R + B'PB)^-1 (B'PA + N'), where (6.25)
+    prints R^-1 for R. Raises ValueError where no stabilising solution exists.
     """
     cross = np.zeros_like(b) if n is None else n
     try:
@@ -47,7 +47,8 @@ def output_weights(c: Array, d: Array, output: Array, r: Array) -> tuple[Array, 
     output M is (p, p) or its diagonal (p,). Q = C'MC, R + D'MD, N = C'MD; (6.26) leaves the cross term out.
     """
     m = np.diag(output) if output.ndim == 1 else output
-    return c.T @ m @ c, r + d.T @ m @ d, c.T @ m @ d
+    q = c.T @ m @ c
+    return 0.5 * (q + q.T), r + d.T @ m @ d, c.T @ m @ d
 
 
 def sampled_cost(
@@ -55,8 +56,8 @@ def sampled_cost(
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Sample x' = A x + B u AND its running cost x'Q x + u'R u + 2 x'N u over a held input (Van Loan 1978).
 
-    Returns (A_d, B_d, Q_d, R_d, N_d): the cost between the samples is counted, which matters where a wheel mode is
-    fast against the period.
+    Returns (A_d, B_d, Q_d, R_d, N_d): the cost between the samples is counted, which matters where a wheel
+    mode is fast against the period.
     """
     states, inputs = b.shape
     size = states + inputs

@@ -1,8 +1,9 @@
 """Discrete Kalman filter in its two halves, update and predict, as pure functions.
 
-The model is x[k+1] = A x[k] + B u[k] + w[k], y[k] = C x[k] + D u[k] + v[k] with cov w = W, cov v = V, cov(w, v) = N.
-Gains are in filter form, P C' S^-1: they correct the state of the present sample. `control.dlqe` returns the predictor
-form A P C' S^-1, which corrects the next one. (6.22)-(6.25) print neither; see docs/chapter6.md.
+The model is x[k+1] = A x[k] + B u[k] + w[k], y[k] = C x[k] + D u[k] + v[k] with cov w = W, cov v = V, cov(w,
+v) = N. Gains are in filter form, P C' S^-1: they correct the state of the present sample. `control.dlqe`
+returns the predictor form A P C' S^-1, which corrects the next one. (6.22)-(6.25) print neither; see
+docs/chapter6.md.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SteadyStateGain:
-    """Gain (n, p), error covariance before (n, n) and after (n, n) the update, and innovation covariance (p, p)."""
+    """Gain (n, p), error covariance before (n, n) and after (n, n) the update, and innovation covariance (p,
+    p)."""
 
     gain: Array
     prior: Array
@@ -36,7 +38,8 @@ def steady_state_gain(
 
     a (n, n), c (p, n), process W (n, n), measurement V (p, p), cross N (n, p) or None.
     With a cross term the correction of the state is still L times the innovation; the prediction must add
-    N S^-1 times the innovation (see `predictor_gain`). Raises ValueError where no stabilising solution exists.
+    N S^-1 times the innovation (see `predictor_gain`). Raises ValueError where no stabilising solution
+    exists.
     """
     try:
         prior = solve_discrete_are(a.T, c.T, process, measurement, s=cross)
@@ -59,15 +62,16 @@ def predictor_gain(a: Array, filtered: SteadyStateGain, cross: Array | None = No
     return gain
 
 
-def predict(
-    a: Array, b: Array, x: Array, u: Array, covariance: Array, process: Array
-) -> tuple[Array, Array]:
+def predict(a: Array, b: Array, x: Array, u: Array, covariance: Array, process: Array) -> tuple[Array, Array]:
     """Carry the estimate x (n,) and its covariance (n, n) over one sample with input u (m,)."""
     return a @ x + b @ u, a @ covariance @ a.T + process
 
 
-def update(x: Array, covariance: Array, innovation: Array, c: Array, measurement: Array) -> tuple[Array, Array]:
-    """Correct x (n,) and its covariance with the innovation y - C x - D u (p,), in Joseph's form (stays symmetric)."""
+def update(
+    x: Array, covariance: Array, innovation: Array, c: Array, measurement: Array
+) -> tuple[Array, Array]:
+    """Correct x (n,) and its covariance with the innovation y - C x - D u (p,), in Joseph's form (stays
+    symmetric)."""
     s = c @ covariance @ c.T + measurement
     gain = np.linalg.solve(s, c @ covariance).T
     keep = np.eye(len(x)) - gain @ c

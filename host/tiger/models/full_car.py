@@ -1,10 +1,11 @@
 """Seven degrees of freedom: heave, pitch and roll of the body, and the vertical motion of the four wheels.
 
-Equations (4.6)-(4.8), equally (6.1)-(6.3). Axes are ISO 8855 (pitch + = nose down, roll + = left side up), corners are
-FL, FR, RL, RR, and every displacement is measured from the static equilibrium on a flat road.
+Equations (4.6)-(4.8), equally (6.1)-(6.3). Axes are ISO 8855 (pitch + = nose down, roll + = left side up),
+corners are FL, FR, RL, RR, and every displacement is measured from the static equilibrium on a flat road.
 
-An actuator stands beside the spring as a force (chapter 6), or in series with it as a stroke that lifts the spring's
-upper seat (the EAM): both are inputs of the same model, so take the ones the vehicle has with `LinearModel.select`.
+An actuator stands beside the spring as a force (chapter 6), or in series with it as a stroke that lifts the
+spring's upper seat (the EAM): both are inputs of the same model, so take the ones the vehicle has with
+`LinearModel.select`.
 """
 
 from __future__ import annotations
@@ -130,10 +131,11 @@ class FullCarParameters:
 def full_car(p: FullCarParameters, imu_offset_m: tuple[float, float] = (0.0, 0.0)) -> LinearModel:
     """Build the 14-state model (4.9) with road displacement as input.
 
-    Inputs: ROAD, FORCE (+ pushes the body up), LIFT and LIFT_RATE (a stroke that lifts the spring's upper seat; the
-    spring deflects by corner - wheel - lift, so lift and its rate act as the force K lift + C lift_rate).
-    Outputs: body position, rate and acceleration; `imu_heave_accel_mps2`, the vertical acceleration at
-    `imu_offset_m` = (x, y) from the centre of mass; SUSPENSION = corner - wheel and its rate; TIRE = wheel - road.
+    Inputs: ROAD, FORCE (+ pushes the body up), LIFT and LIFT_RATE (a stroke that lifts the spring's upper
+    seat; the spring deflects by corner - wheel - lift, so lift and its rate act as the force K lift + C
+    lift_rate). Outputs: body position, rate and acceleration; `imu_heave_accel_mps2`, the vertical
+    acceleration at `imu_offset_m` = (x, y) from the centre of mass; SUSPENSION = corner - wheel and its rate;
+    TIRE = wheel - road.
     """
     kinematics = p.corner_kinematics()
     body_inertia = np.array([p.body_mass_kg, p.pitch_inertia_kgm2, p.roll_inertia_kgm2])
@@ -190,10 +192,11 @@ def full_car(p: FullCarParameters, imu_offset_m: tuple[float, float] = (0.0, 0.0
 def road_rate_form(model: LinearModel) -> tuple[LinearModel, Array]:
     """Rewrite `full_car` with road RATE as input, in the minimal 14 states, and return it with a gain (p, 4).
 
-    The new state is the deviation from the equilibrium on the present road, x + A^-1 B_road road, so that A, C and the
-    other inputs are unchanged and B_road_rate = A^-1 B_road. An output is y = C x + D u + gain @ road: the gain is that
-    of a road at rest, zero for accelerations and rates; on suspension and tyre deflections it acts only on the warp of
-    the road, the one integrator for which (6.4) carries a fifteenth, uncontrollable state.
+    The new state is the deviation from the equilibrium on the present road, x + A^-1 B_road road, so that A,
+    C and the other inputs are unchanged and B_road_rate = A^-1 B_road. An output is y = C x + D u + gain @
+    road: the gain is that of a road at rest, zero for accelerations and rates; on suspension and tyre
+    deflections it acts only on the warp of the road, the one integrator for which (6.4) carries a fifteenth,
+    uncontrollable state.
     """
     columns = [model.inputs.index(name) for name in ROAD]
     others = [i for i in range(len(model.inputs)) if i not in columns]

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearModel:
-    """x' = A x + B u, y = C x + D u (or x[k+1] = ... where `period_s` is set), with a name for every row and column.
+    """x' = A x + B u, y = C x + D u (or x[k+1] = ... where `period_s` is set), with a name for every row and
+    column.
 
     A name ends in its unit (`pitch_rate_radps`). Shapes: a (n, n), b (n, m), c (p, n), d (p, m).
     """
@@ -65,9 +66,9 @@ class LinearModel:
     def discretise(self, period_s: float, method: Literal["zoh", "foh", "tustin"] = "zoh") -> LinearModel:
         """Sample the continuous model every `period_s` seconds.
 
-        zoh: exact for inputs held over a period (forces from a computer); the output is read at the start of the
-        period. foh: exact for inputs that are straight between samples (a road). tustin: (6.10), s = 2/T (z-1)/(z+1),
-        which makes D nonzero even where the continuous D is zero.
+        zoh: exact for inputs held over a period (forces from a computer); the output is read at the start of
+        the period. foh: exact for inputs that are straight between samples (a road). tustin: (6.10), s = 2/T
+        (z-1)/(z+1), which makes D nonzero even where the continuous D is zero.
         """
         if self.period_s is not None:
             raise ValueError(f"the model is already sampled every {self.period_s} s")
@@ -119,7 +120,8 @@ class LinearModel:
         return np.asarray(self.d + self.c @ np.linalg.solve(identity - self.a, self.b))
 
     def simulate(self, u: Array, x0: Array | None = None) -> tuple[Array, Array]:
-        """Run a sampled model over inputs `u` (steps, m) and return (outputs (steps, p), states (steps, n))."""
+        """Run a sampled model over inputs `u` (steps, m) and return (outputs (steps, p), states (steps,
+        n))."""
         if self.period_s is None:
             raise ValueError("sample the model with discretise() before simulating it")
         u = np.asarray(u, dtype=float)
@@ -133,7 +135,8 @@ class LinearModel:
 
 
 def modes(poles: NDArray[np.complex128]) -> Array:
-    """Return (frequency_hz, damping ratio) of each continuous complex pole pair, shape (pairs, 2), slowest first."""
+    """Return (frequency_hz, damping ratio) of each continuous complex pole pair, shape (pairs, 2), slowest
+    first."""
     upper = poles[poles.imag > 0]
     table = np.column_stack([np.abs(upper) / (2 * np.pi), -upper.real / np.abs(upper)])
     return np.asarray(table[np.argsort(table[:, 0])])

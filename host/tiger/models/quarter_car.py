@@ -1,6 +1,7 @@
 """One corner of the vehicle: body mass on a spring, damper and actuator, wheel mass on the tyre spring (4.5).
 
-The signs are those of the equations of motion; the matrices printed under (4.5) carry the opposite sign for the force.
+The signs are those of the equations of motion; the matrices printed under (4.5) carry the opposite sign for
+the force.
 """
 
 from __future__ import annotations
@@ -48,9 +49,11 @@ class QuarterCarParameters:
 
 
 def quarter_car(p: QuarterCarParameters) -> LinearModel:
-    """Build (4.5) with inputs force (+ lifts the body), road, and the lift of a stroke in series with its rate.
+    """Build (4.5) with inputs force (+ lifts the body), road, and the lift of a stroke in series with its
+    rate.
 
-    Outputs: body acceleration, body and wheel height, suspension = body - wheel, tyre = wheel - road (m, m/s^2).
+    Outputs: body acceleration, body and wheel height, suspension = body - wheel, tyre = wheel - road (m,
+    m/s^2).
     """
     k, c, kt = p.spring_npm, p.damper_nspm, p.tire_stiffness_npm
     body = np.array([-k, -c, k, c]) / p.body_mass_kg
