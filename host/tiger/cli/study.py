@@ -50,7 +50,9 @@ def _run(module_name: str, parameters: dict[str, Any], json_path: Path | None, p
         else:
             report = module.run(**parameters)
     except (ConfigError, ValueError) as error:
-        Console(stderr=True).print(f"study {module_name.replace('_', '-')}: {error}", style="red", markup=False)
+        Console(stderr=True).print(
+            f"study {module_name.replace('_', '-')}: {error}", style="red", markup=False
+        )
         raise typer.Exit(2) from None
     console.print(report.table())
     for name, value in report.assumptions.items():

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One figure of a study. `printed` is the dissertation's figure in the same unit, or None where it prints none."""
+    """One figure of a study; `printed` is the dissertation's, in the same unit, None where it prints none."""
 
     name: str
     value: float
@@ -30,8 +30,8 @@ class Row:
 class Report:
     """Result of a study: the rows of its table, the series behind its plots, and what had to be assumed.
 
-    `series` maps a name that ends in its unit (`roll_deg`) to an array of any shape; `assumptions` maps the name of
-    a choice the dissertation leaves open to the value chosen (number or text).
+    `series` maps a name that ends in its unit (`roll_deg`) to an array of any shape; `assumptions` maps the
+    name of a choice the dissertation leaves open to the value chosen (number or text).
     """
 
     title: str
@@ -54,7 +54,7 @@ class Report:
         return table
 
     def to_json(self) -> dict[str, Any]:
-        """Return `{"rows": [{name, value, unit, printed}], "series": {...}, "assumptions": {...}}` of plain types."""
+        """Return title, rows (name, value, unit, printed), series and assumptions as plain types."""
         return {
             "title": self.title,
             "rows": [
