@@ -1,0 +1,125 @@
+"""Tyre sets and soils: the coefficients of what a wheel stands on, loaded from a preset or a TOML file."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from tiger.config.errors import ConfigError
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
+Negative = Annotated[float, Field(lt=0.0, allow_inf_nan=False, strict=True)]
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+FrictionAngle = Annotated[float, Field(gt=0.0, lt=60.0, strict=True)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class LongitudinalCoefficients(_Section):
+    """Magic Formula for F_x, pure (p) and combined (r) slip; names as in Pacejka 2006, eqs. 4.E9-4.E57."""
+
+    pcx1: Positive
+    pdx1: Positive
+    pdx2: Finite
+    pex1: Finite
+    pex2: Finite
+    pex3: Finite
+    pkx1: Positive
+    pkx2: Finite
+    pkx3: Finite
+    rbx1: Positive
+    rbx2: Finite
+    rcx1: Positive
+
+
+class LateralCoefficients(_Section):
+    """Magic Formula for F_y, pure (p) and combined (r) slip; names as in Pacejka 2006, eqs. 4.E19-4.E67."""
+
+    pcy1: Positive
+    pdy1: Negative
+    pdy2: Finite
+    pey1: Finite
+    pey2: Finite
+    pky1: Negative
+    pky2: Positive
+    rby1: Positive
+    rby2: Finite
+    rcy1: Positive
+
+
+class StandstillConfig(_Section):
+    """What keeps the contact well behaved at rest, where slip has no meaning."""
+
+    damping_nspm: NonNegative
+    damping_fades_at_mps: Positive
+    slip_limit: Positive
+    rolling_threshold_mps: Positive
+
+
+class TireSetConfig(_Section):
+    """One tyre's Magic Formula set, without camber and offsets; a vehicle scales it by load and grip."""
+
+    nominal_load_n: Positive
+    unloaded_radius_m: Positive
+    width_m: Positive
+    load_ratio_max: Positive
+    longitudinal: LongitudinalCoefficients
+    lateral: LateralCoefficients
+    standstill: StandstillConfig
+
+
+class SoilConfig(_Section):
+    """Bekker's pressure-sinkage and Janosi-Hanamoto's shear parameters of one soil."""
+
+    cohesive_modulus_npm: NonNegative
+    """k_c in N/m^(n+1)."""
+    frictional_modulus_npm2: Positive
+    """k_phi in N/m^(n+2)."""
+    sinkage_exponent: Positive
+    cohesion_pa: NonNegative
+    friction_angle_deg: FrictionAngle
+    shear_modulus_m: Positive
+    """Shear displacement K at which 63 % of the strength acts."""
+
+
+_Model = TypeVar("_Model", TireSetConfig, SoilConfig)
+
+
+def load_tire_set(name_or_path: str | Path = "205_60r15") -> TireSetConfig:
+    """Load a tyre set by preset name or TOML path; raises ConfigError with one line per wrong key."""
+    return _load(TireSetConfig, "tires", name_or_path)
+
+
+def load_soil(name_or_path: str | Path) -> SoilConfig:
+    """Load a soil by preset name or TOML path; raises ConfigError with one line per wrong key."""
+    return _load(SoilConfig, "soils", name_or_path)
+
+
+def _load(model: type[_Model], folder: str, name_or_path: str | Path) -> _Model:
+    presets = resources.files("tiger.config") / "presets" / folder
+    known = sorted(item.name.removesuffix(".toml") for item in presets.iterdir())
+    source = str(name_or_path)
+    if isinstance(name_or_path, Path) or source.endswith(".toml") or "/" in source:
+        try:
+            text = Path(name_or_path).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(f"{source}: cannot be read ({error}); check the path") from error
+    elif source in known:
+        text = (presets / f"{source}.toml").read_text(encoding="utf-8")
+    else:
+        raise ConfigError(
+            f"{source!r} is not among the {folder}; use one of {', '.join(known)}, or a .toml path"
+        )
+    try:
+        return model.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{source}: is not valid TOML ({error}); correct that line") from error
+    except ValidationError as error:
+        raise ConfigError.from_validation(error, source) from error
