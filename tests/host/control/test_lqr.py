@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from tiger.config.vehicle import load_vehicle
 from tiger.control.lqr import dlqr, output_weights, sampled_cost
 from tiger.models.full_car import BODY_ACCELERATION, FORCE, SUSPENSION, TIRE, FullCarParameters, full_car

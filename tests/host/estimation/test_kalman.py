@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from tiger.config.vehicle import load_vehicle
 from tiger.estimation.kalman import log_likelihood, predict, predictor_gain, steady_state_gain, update
 from tiger.models.full_car import FORCE, IMU, FullCarParameters, full_car

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from tiger.config.vehicle import load_vehicle
 from tiger.models.full_car import (
     BODY_ACCELERATION,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from tiger.config.vehicle import load_vehicle
 from tiger.models.full_car import BODY_ACCELERATION, FORCE, ROAD, FullCarParameters, full_car
 from tiger.models.linear import LinearModel
@@ -34,14 +35,13 @@ def test_sampled_response_converges_to_the_continuous_one_at_its_order(method: s
     exact = MODEL.frequency_response(frequency)
     errors = []
     for period in (0.004, 0.002):
-        errors.append(np.abs(MODEL.discretise(period, method).frequency_response(frequency) - exact).max())  #
-        type: ignore[arg - type]
+        errors.append(np.abs(MODEL.discretise(period, method).frequency_response(frequency) - exact).max())
     assert errors[0] / errors[1] == pytest.approx(2**order, rel=0.1)
 
 
 @pytest.mark.parametrize("method", ["zoh", "foh", "tustin"])
 def test_sampling_keeps_the_static_gain(method: str) -> None:
-    sampled = MODEL.discretise(0.005, method)  # type: ignore[arg-type]
+    sampled = MODEL.discretise(0.005, method)
     assert sampled.static_gain() == pytest.approx(MODEL.static_gain(), abs=1e-6)
 
 

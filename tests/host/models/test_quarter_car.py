@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from tiger.config.vehicle import load_vehicle
 from tiger.models.linear import modes
 from tiger.models.quarter_car import QuarterCarParameters, quarter_car
