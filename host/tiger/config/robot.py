@@ -1,0 +1,262 @@
+"""The configuration of the robot: `robot.toml`, checked as a whole before anything moves.
+
+The packaged `robot.toml` is the only place with default values; a user's file is laid over it table by table.
+Every wrong key is reported at once, each with its value, its limit and the next step.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from tiger.config.errors import ConfigError
+from tiger.config.vehicle import NonNegative, Positive, RateActuatorConfig, VehicleConfig, load_vehicle
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+Factor = Annotated[float, Field(ge=0.5, le=3.0, allow_inf_nan=False, strict=True)]
+DevicePath = Annotated[str, Field(pattern=r"^/", strict=True)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class PortsConfig(_Section):
+    """Where serial devices may be. Boards are told apart by HELLO; the Roboteqs by their path."""
+
+    boards: Annotated[tuple[DevicePath, ...], Field(min_length=1)]
+    roboteq_left: DevicePath
+    roboteq_right: DevicePath
+
+    @model_validator(mode="after")
+    def _two_different_roboteqs(self) -> PortsConfig:
+        if self.roboteq_left == self.roboteq_right:
+            raise ValueError(f"roboteq_left and roboteq_right are both {self.roboteq_left}: name two ports")
+        return self
+
+
+class LoopConfig(_Section):
+    """The control loop and what it asks of the operating system."""
+
+    rate_hz: Annotated[float, Field(ge=50.0, le=500.0, strict=True)]
+    setpoint_rate_hz: Annotated[float, Field(ge=50.0, le=200.0, strict=True)]
+    drive_rate_hz: Annotated[float, Field(ge=20.0, le=100.0, strict=True)]
+    realtime_priority: Annotated[int, Field(ge=0, le=99, strict=True)]
+    lock_memory: Annotated[bool, Field(strict=True)]
+    cpu: Annotated[int, Field(ge=-1, le=255, strict=True)]
+
+    @property
+    def period_s(self) -> float:
+        """Time between two ticks."""
+        return 1.0 / self.rate_hz
+
+    @model_validator(mode="after")
+    def _ticks_carry_the_setpoints(self) -> LoopConfig:
+        for name in ("setpoint_rate_hz", "drive_rate_hz"):
+            if self.rate_hz % getattr(self, name):
+                rate = getattr(self, name)
+                raise ValueError(
+                    f"rate_hz = {self.rate_hz} is no multiple of {name} = {rate}: choose a divisor"
+                )
+        return self
+
+
+class ObserverConfig(_Section):
+    """Noise of the IMU and restlessness of the ground, as the attitude observer assumes them."""
+
+    attitude_noise_deg: Positive
+    rate_noise_degps: Positive
+    acceleration_noise_mps2: Positive
+    plate_acceleration_degps2: Positive
+    ground_noise_mm: Positive
+    gyro_bias_drift_degps: Positive
+    history_ms: Annotated[float, Field(ge=10.0, le=500.0, strict=True)]
+
+
+class LevelingConfig(_Section):
+    """Suspension modes: dead zone, gains and limits."""
+
+    dead_zone_deg: Positive
+    wake_deg: Positive
+    settle_deg: Positive
+    still_degps: Positive
+    still_time_s: Positive
+    angle_weight_deg: Positive
+    rate_weight_degps: Positive
+    setpoint_delay_s: Annotated[float, Field(ge=0.0, le=0.1, strict=True)]
+    acceleration_mmps2: Annotated[float, Field(ge=20.0, le=2000.0, strict=True)]
+    stroke_margin_mm: Positive
+    stroke_brake_per_s: Annotated[float, Field(gt=0.0, le=20.0, strict=True)]
+    ride_stroke_mm: Positive
+    ride_rate_per_s: Annotated[float, Field(gt=0.0, le=10.0, strict=True)]
+    warp_rate_per_s: Annotated[float, Field(gt=0.0, le=10.0, strict=True)]
+    max_angle_deg: Annotated[float, Field(gt=0.0, le=45.0, strict=True)]
+    out_of_reach: Literal["clip", "refuse"]
+
+    @model_validator(mode="after")
+    def _hysteresis(self) -> LevelingConfig:
+        if not self.settle_deg < self.dead_zone_deg <= self.wake_deg:
+            raise ValueError(
+                f"settle_deg = {self.settle_deg}, dead_zone_deg = {self.dead_zone_deg} and wake_deg = "
+                f"{self.wake_deg} must rise in this order, or the robot hunts: correct them"
+            )
+        return self
+
+
+class DriveControlConfig(_Section):
+    """From forward speed and yaw rate to wheel speeds."""
+
+    enabled: Annotated[bool, Field(strict=True)]
+    max_speed_mps: Positive
+    max_yaw_rate_degps: Positive
+    acceleration_mps2: Positive
+    jerk_mps3: Positive
+    yaw_acceleration_degps2: Positive
+    effective_track_factor: Factor
+    wheel_radius_factor: Factor
+    yaw_rate_gain_per_s: NonNegative
+    yaw_rate_trim_max_degps: NonNegative
+    speed_source: Literal["roboteq", "mega_speed"]
+
+
+class SafetyConfig(_Section):
+    """Limits that the supervisor watches; what each does is a row of its table."""
+
+    max_tilt_deg: Annotated[float, Field(gt=0.0, le=60.0, strict=True)]
+    max_wheel_speed_rpm: Positive
+    max_motor_current_a: Positive
+    max_controller_temperature_celsius: Positive
+    battery_low_v: Positive
+    battery_min_v: Positive
+    imu_age_ms: Annotated[float, Field(ge=20.0, le=500.0, strict=True)]
+    stroke_age_ms: Annotated[float, Field(ge=20.0, le=500.0, strict=True)]
+    wheel_age_ms: Annotated[float, Field(ge=20.0, le=500.0, strict=True)]
+    roboteq_age_ms: Annotated[float, Field(ge=40.0, le=500.0, strict=True)]
+    roboteq_watchdog_ms: Annotated[int, Field(ge=50, le=250, strict=True)]
+    max_rest_gyro_bias_degps: Positive
+    max_rest_accel_offset_mps2: Positive
+    max_neutral_speed_mps: NonNegative
+
+    @model_validator(mode="after")
+    def _warn_before_stopping(self) -> SafetyConfig:
+        if self.battery_low_v <= self.battery_min_v:
+            raise ValueError(
+                f"battery_low_v = {self.battery_low_v} must be above "
+                f"battery_min_v = {self.battery_min_v}: raise it"
+            )
+        return self
+
+
+class RobotConfig(_Section):
+    """Everything that the daemon needs to know about one robot."""
+
+    vehicle: VehicleConfig
+    ports: PortsConfig
+    loop: LoopConfig
+    observer: ObserverConfig
+    leveling: LevelingConfig
+    drive: DriveControlConfig
+    safety: SafetyConfig
+
+    @property
+    def actuator(self) -> RateActuatorConfig:
+        """The vehicle's actuator; a `RobotConfig` always has one that follows stroke rates."""
+        actuator = self.vehicle.actuator
+        assert isinstance(actuator, RateActuatorConfig)
+        return actuator
+
+    @property
+    def stroke_range_mm(self) -> tuple[float, float]:
+        """Lowest and highest stroke that the controller uses."""
+        margin = self.leveling.stroke_margin_mm
+        return margin, self.actuator.stroke_max_mm - margin
+
+    @model_validator(mode="after")
+    def _fits_the_vehicle(self) -> RobotConfig:
+        wrong = []
+        if not isinstance(self.vehicle.actuator, RateActuatorConfig) or self.vehicle.eam is None:
+            raise ValueError(
+                'the vehicle has no stroke-rate actuators with an [eam]; use vehicle = "tiger" or add them'
+            )
+        low, high = self.stroke_range_mm
+        ride = self.leveling.ride_stroke_mm
+        if low >= high:
+            wrong.append(f"leveling.stroke_margin_mm = {low} leaves no stroke of {low + high} mm: lower it")
+        elif not low <= ride <= high:
+            wrong.append(f"leveling.ride_stroke_mm = {ride} is outside {low} to {high} mm: move it inside")
+        if self.drive.enabled and self.vehicle.drive is None:
+            wrong.append("drive.enabled = true, but the vehicle has no [drive]: set it to false")
+        if wrong:
+            raise ValueError("; ".join(wrong))
+        return self
+
+
+def default_robot_toml() -> str:
+    """Text of the packaged `robot.toml`, with its comments: what a user copies from."""
+    return (resources.files("tiger.config") / "robot.toml").read_text(encoding="utf-8")
+
+
+def load_robot(path: str | Path | None = None) -> RobotConfig:
+    """Load the default configuration, with the user's file laid over it.
+
+    A vehicle file named in it is relative to it. Raises ConfigError with one line for each wrong key.
+    """
+    tables = tomllib.loads(default_robot_toml())
+    source, folder = "robot.toml", Path()
+    if path is not None:
+        source, folder = str(path), Path(path).parent
+        tables = _laid_over(tables, _read(Path(path)))
+    wrong: list[str] = []
+    try:
+        tables["vehicle"] = _vehicle(tables["vehicle"], source, folder)
+    except ConfigError as error:
+        wrong += error.messages
+        tables["vehicle"] = load_vehicle("tiger")  # so that the other keys are checked as well
+    try:
+        robot = RobotConfig.model_validate(tables)
+    except ValidationError as error:
+        wrong += ConfigError.from_validation(error, source).messages
+    if wrong:
+        raise ConfigError(wrong)
+    return robot
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error}); check the path") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: is not valid TOML ({error}); correct that line") from error
+
+
+def _laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Merge two trees of tables; a value above hides the one below. A vehicle is replaced as a whole."""
+    merged = dict(below)
+    for key, value in above.items():
+        under = merged.get(key)
+        merged[key] = (
+            _laid_over(under, value) if isinstance(value, dict) and isinstance(under, dict) else value
+        )
+    return merged
+
+
+def _vehicle(value: Any, source: str, folder: Path) -> VehicleConfig:
+    if isinstance(value, dict):
+        try:
+            return VehicleConfig.model_validate(value)
+        except ValidationError as error:
+            raise ConfigError.from_validation(error, f"{source} [vehicle]") from error
+    if not isinstance(value, str):
+        raise ConfigError(
+            f"{source}: vehicle = {value!r} is neither a name nor a table; name a preset or a file"
+        )
+    if value.endswith(".toml") or "/" in value:
+        return load_vehicle(folder / value)
+    return load_vehicle(value)
