@@ -1,0 +1,46 @@
+"""The stroke potentiometer of a linear actuator, read ratiometrically by a 10-bit converter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+ADC_COUNTS = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Potentiometer:
+    """Wiper voltage against stroke. Chosen values: the wiper uses the middle 96 % of the supply."""
+
+    stroke_max_mm: float
+    supply_v: float = 5.0
+    volts_at_zero_stroke: float = 0.1
+    volts_at_full_stroke: float = 4.9
+    noise_v: float = 0.002
+    nonlinearity: float = 0.0
+    """Greatest deviation from the straight line, as a share of the stroke (one sine over the stroke)."""
+
+    def volts(self, stroke_mm: ArrayLike, random: np.random.Generator | None = None) -> Array:
+        """Return the wiper voltage at each stroke, with noise when a generator is given, within 0..supply."""
+        share = np.asarray(stroke_mm, dtype=float) / self.stroke_max_mm
+        if self.nonlinearity:
+            share = share + self.nonlinearity * np.sin(2.0 * np.pi * share)
+        volts = self.volts_at_zero_stroke + (self.volts_at_full_stroke - self.volts_at_zero_stroke) * share
+        if random is not None:
+            volts = volts + self.noise_v * random.standard_normal(np.shape(volts))
+        return np.asarray(np.minimum(np.maximum(volts, 0.0), self.supply_v))
+
+    def counts(self, volts: ArrayLike) -> NDArray[np.int64]:
+        """Return what the converter makes of each voltage: 0..1023, the supply being its reference."""
+        counts = np.floor(np.asarray(volts, dtype=float) / self.supply_v * ADC_COUNTS).astype(np.int64)
+        return np.minimum(np.maximum(counts, 0), ADC_COUNTS - 1)
+
+    def stroke_mm(self, counts: ArrayLike) -> Array:
+        """Return the stroke at the middle of each count (inverse of a straight potentiometer)."""
+        volts = (np.asarray(counts, dtype=float) + 0.5) / ADC_COUNTS * self.supply_v
+        span = self.volts_at_full_stroke - self.volts_at_zero_stroke
+        return np.asarray((volts - self.volts_at_zero_stroke) / span * self.stroke_max_mm)
