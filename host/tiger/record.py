@@ -1,0 +1,182 @@
+"""What one control tick knew, did and why: the type that every log, page and bridge reads.
+
+`Inputs` goes into `controller.step`, `Outputs` comes out, `Record` keeps both with the state of the supervisor.
+Times are seconds of the host's monotonic clock; the time of a sample is when the board took it, not when it arrived.
+Axes are ISO 8855 (roll + = left side up, pitch + = nose down); corners and wheels are FL, FR, RL, RR.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+Three = tuple[float, float, float]
+Four = tuple[float, float, float, float]
+
+STILL: Four = (0.0, 0.0, 0.0, 0.0)
+
+
+class DaemonState(IntEnum):
+    """State of the supervisor."""
+
+    DISCONNECTED = 0  # a device is missing
+    HANDSHAKE = 1  # devices are there and introduce themselves
+    DISARMED = 2  # everything answers, nothing may move
+    ARMED = 3  # following commands
+    FAULT = 4  # stopped and latched until cleared
+    ESTOP = 5  # emergency stop, latched until released and cleared
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the user asks for. The default asks for a level body that stands still."""
+
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    ride_stroke_mm: float | None = None  # mean stroke; None: the one of the config
+    speed_mps: float = 0.0
+    yaw_rate_radps: float = 0.0  # + turns left
+
+
+@dataclass(frozen=True, slots=True)
+class StrokeSample:
+    """One suspension_state: the four actuators."""
+
+    t_s: float
+    stroke_mm: Four
+    rate_mmps: Four
+    duty_permille: tuple[int, int, int, int]
+    flags: int  # bits of SuspensionFlag
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """One imu_attitude: attitude and motion of the body in the robot's axes."""
+
+    t_s: float
+    quaternion: Four  # w x y z, body to earth (z up)
+    rate_radps: Three
+    angular_accel_radps2: Three
+    linear_accel_mps2: Three
+    flags: int  # bits of ImuFlag
+
+
+@dataclass(frozen=True, slots=True)
+class ImuRawSample:
+    """One imu_raw: readings in the robot's axes before calibration."""
+
+    t_s: float
+    accel_mps2: Three
+    gyro_radps: Three
+    mag_ut: Three
+
+
+@dataclass(frozen=True, slots=True)
+class WheelSample:
+    """One wheel_speed: the wheels of one side, front then rear; forward is positive."""
+
+    t_s: float
+    edge_counts: tuple[int, int]
+    speed_radps: tuple[float, float]
+    flags: int  # bits of WheelFlag
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSample:
+    """What one Roboteq last said of its two channels, front then rear; forward is positive."""
+
+    t_s: float  # when the newest wheel speeds arrived
+    wheel_rpm: tuple[float, float]
+    motor_current_a: tuple[float, float]
+    battery_current_a: tuple[float, float]
+    battery_v: float
+    controller_temperature_celsius: float | None
+    fault_flags: int  # ?FF
+    status_flags: int  # ?FS
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """Everything `controller.step` may look at. A sample is the newest one there is, or None before the first."""
+
+    now_s: float
+    armed: bool  # the supervisor permits motion
+    command: Command = field(default_factory=Command)
+    strokes: StrokeSample | None = None
+    imu: ImuSample | None = None
+    imu_raw: ImuRawSample | None = None
+    wheels_left: WheelSample | None = None
+    wheels_right: WheelSample | None = None
+    drive_left: DriveSample | None = None
+    drive_right: DriveSample | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """The observer's view of the body; `ready` before anything else in it means something."""
+
+    ready: bool = False
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    roll_rate_radps: float = 0.0
+    pitch_rate_radps: float = 0.0
+    plate_roll_rad: float = 0.0  # slope of the ground
+    plate_pitch_rad: float = 0.0
+    sigma_rad: float = 0.0  # standard deviation of the worse of roll and pitch
+    speed_mps: float = 0.0  # odometry
+    yaw_rate_radps: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Outputs:
+    """What `controller.step` commands, and why."""
+
+    stroke_rate_mmps: Four = STILL  # positive raises the body
+    wheel_rpm: Four = STILL
+    estimate: Estimate = field(default_factory=Estimate)
+    reason: str = ""  # mode of the controller in a few words
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Something that keeps the robot from working: what, and the next step."""
+
+    where: str  # the board, port or key
+    text: str
+    next_step: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.text}. {self.next_step}"
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStatus:
+    """Health of one board or drive controller as the host sees it."""
+
+    name: str
+    state: str
+    connected: bool
+    rx_frames: int = 0
+    rejects: int = 0  # received frames refused by the host, all causes
+    board_rejects: int = 0  # frames refused by the board
+    seq_gaps: int = 0
+    round_trip_ms: float = 0.0
+    clock_sigma_us: float = 0.0
+    drift_ppm: float = 0.0
+    overruns: int = 0
+    ram_free_bytes: int = 0
+    supply_v: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One tick."""
+
+    tick: int
+    state: DaemonState
+    reason: str  # why the supervisor is in this state
+    inputs: Inputs
+    outputs: Outputs  # as sent: all zeros unless armed
+    problems: tuple[Problem, ...] = ()
+    links: tuple[LinkStatus, ...] = ()
+    lateness_s: float = 0.0
