@@ -1,0 +1,169 @@
+// Attitude of the body from gyroscope, accelerometer and magnetometer.
+//
+// Structure after Laidig & Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and
+// magnetic disturbance rejection", Information Fusion 91 (2023), doi 10.1016/j.inffus.2022.10.014:
+//
+//   body --gyro--> almost inertial frame --inclination--> inclined frame --heading--> earth (east north up)
+//
+// The gyroscope alone turns body into a frame that drifts slowly; there the accelerometer can be averaged over
+// seconds, which leaves gravity however the body moved; a correction makes that average vertical; one angle
+// about the vertical makes north north. Errors of the magnetometer cannot reach roll and pitch.
+//
+// The work is split over ticks so that it fits a 16 MHz AVR: every tick integrates the gyroscope and averages
+// the accelerometer; every `slow_every` ticks one corrects the inclination and another one updates the bias; a
+// magnetometer sample is taken in at a tick that does neither. The full structure costs 177 k cycles a sample.
+#pragma once
+
+#include <stdint.h>
+
+#include "gyro_bias.h"
+#include "heading.h"
+#include "low_pass.h"
+#include "rest_detector.h"
+#include "rotation.h"
+
+namespace tiger {
+namespace fusion {
+
+struct AttitudeTuning {
+  float tick_s = 0.01f;
+  float mag_period_s = 0.05f;
+  uint8_t slow_every = 4;  // ticks between two corrections; 1: everything in every tick
+  float accel_tau_s = 3.0f;
+  RestTuning rest;
+  BiasTuning bias;
+  HeadingTuning heading;
+};
+
+// One sample of the inertial sensor in body axes. `vehicle_accel` is what odometry says the body accelerates,
+// zero without odometry: it is taken off the specific force before the averaging.
+struct ImuSample {
+  Vec3 gyro_radps;
+  Vec3 accel_mps2;
+  Vec3 vehicle_accel_mps2;
+  bool accel_usable;
+  bool may_rest;
+};
+
+class AttitudeFilter {
+ public:
+  void begin(const AttitudeTuning& tuning) {
+    const float slow_s = tuning.tick_s * static_cast<float>(tuning.slow_every);
+    slow_every_ = tuning.slow_every;
+    accel_gains_ = low_pass_gains(tuning.accel_tau_s, tuning.tick_s);
+    rest_.begin(tuning.rest, tuning.tick_s);
+    bias_.begin(tuning.bias, tuning.accel_tau_s, slow_s);
+    heading_.begin(tuning.heading, tuning.mag_period_s);
+    accel_low_pass_.reset();
+    inertial_ = inclination_ = earth_ = Quat{1.0f, 0.0f, 0.0f, 0.0f};
+    up_ = Vec3{0.0f, 0.0f, 0.0f};
+    tilt_x_ = tilt_y_ = 0.0f;
+    phase_ = 0;
+    mag_waiting_ = started_ = false;
+  }
+
+  void start_bias_from(const Vec3& bias_radps) { bias_.start_from(bias_radps); }
+
+  // One tick. `dt_s` is the time since the sample before; call it with zero for a sample that follows a gap
+  // too long to bridge: the attitude is then held across the gap.
+  void step(const ImuSample& sample, float dt_s) {
+    rest_.step(sample.gyro_radps, sample.accel_mps2, sample.may_rest);
+    integrate(sample.gyro_radps - bias_.value(), dt_s);
+    if (sample.accel_usable) average(sample.accel_mps2 - sample.vehicle_accel_mps2);
+    if (phase_ == 0) correct_inclination();
+    if (phase_ == slow_every_ / 2) update_bias();
+    if (mag_waiting_ && (slow_every_ == 1 || phase_ % 2 == 1)) update_heading();
+    if (++phase_ >= slow_every_) phase_ = 0;
+  }
+
+  // A new magnetometer sample, of the instant of the latest step.
+  void add_magnetometer(const Vec3& field_ut) {
+    field_ = rotate(inertial_, field_ut);
+    mag_waiting_ = true;
+  }
+
+  // Body to earth.
+  Quat attitude() const { return earth_ * inertial_; }
+  // Body to a frame that is level but whose heading only drifts: no magnetometer in it.
+  Quat attitude_without_heading() const { return inclination_ * inertial_; }
+  const Vec3& rate_radps() const { return rate_; }
+  const Vec3& bias_radps() const { return bias_.value(); }
+  bool resting() const { return rest_.resting(); }
+  bool magnetically_disturbed() const { return heading_.disturbed(); }
+  float heading_rad() const { return heading_.angle(); }
+
+ private:
+  // The rate is held over the tick, which leads the sample by half a tick: about the delay of the sensor's own
+  // low-pass (5 ms at 47 Hz). The second term is what a turning axis adds within a tick (coning).
+  void integrate(const Vec3& rate, float dt_s) {
+    if (!started_) {
+      rate_ = rate;
+      started_ = true;
+    }
+    const Vec3 angle = dt_s * rate + (dt_s * dt_s * (1.0f / 12.0f)) * cross(rate_, rate);
+    rate_ = rate;
+    inertial_ = renormalised(inertial_ * small_turn(angle));
+  }
+
+  void average(const Vec3& accel) {
+    const Vec3 a = rotate(inertial_, accel);
+    const float in[3] = {a.x, a.y, a.z};
+    float out[3];
+    accel_low_pass_.update(accel_gains_, in, out);
+    up_ = Vec3{out[0], out[1], out[2]};
+  }
+
+  // The shortest turn that makes the averaged specific force point up.
+  void correct_inclination() {
+    const Vec3 up = rotate(inclination_, up_);
+    const float norm = sqrtf(dot(up, up));
+    if (!(norm > 1e-3f)) return;
+    const float scale = 1.0f / norm;
+    tilt_x_ = scale * up.x;
+    tilt_y_ = scale * up.y;
+    const float w = sqrtf(0.5f * (scale * up.z + 1.0f));
+    const Quat turn =
+        w > 1e-3f ? Quat{w, 0.5f * tilt_y_ / w, -0.5f * tilt_x_ / w, 0.0f} : Quat{0.0f, 1.0f, 0.0f, 0.0f};
+    inclination_ = renormalised(turn * inclination_);
+    combine();
+  }
+
+  void update_bias() {
+    const Mat3 body_to_inclined = matrix(inclination_ * inertial_);
+    if (rest_.resting()) {
+      bias_.update_at_rest(body_to_inclined, rest_.gyro_mean());
+    } else {
+      bias_.update_in_motion(body_to_inclined, tilt_x_, tilt_y_);
+    }
+  }
+
+  void update_heading() {
+    const Vec3& mean = rest_.gyro_mean();
+    heading_.step(rotate(inclination_, field_), sqrtf(dot(mean, mean)));
+    mag_waiting_ = false;
+    combine();
+  }
+
+  void combine() {
+    const float half = 0.5f * heading_.angle();
+    earth_ = Quat{cosf(half), 0.0f, 0.0f, sinf(half)} * inclination_;
+  }
+
+  Quat inertial_;     // body -> almost inertial
+  Quat inclination_;  // almost inertial -> inclined
+  Quat earth_;        // almost inertial -> earth
+  Vec3 rate_;         // bias removed
+  Vec3 up_;           // averaged specific force, almost inertial frame
+  Vec3 field_;        // magnetic field waiting, almost inertial frame
+  float tilt_x_, tilt_y_;
+  LowPass<3> accel_low_pass_;
+  LowPassGains accel_gains_;
+  RestDetector rest_;
+  GyroBias bias_;
+  Heading heading_;
+  uint8_t slow_every_, phase_;
+  bool mag_waiting_, started_;
+};
+
+}  // namespace fusion
+}  // namespace tiger
