@@ -70,6 +70,7 @@ class LoopConfig(_Section):
 class ObserverConfig(_Section):
     """Noise of the IMU and restlessness of the ground, as the attitude observer assumes them."""
 
+    imu_rate_hz: Annotated[float, Field(ge=20.0, le=500.0, strict=True)]
     attitude_noise_deg: Positive
     rate_noise_degps: Positive
     acceleration_noise_mps2: Positive
@@ -87,15 +88,16 @@ class LevelingConfig(_Section):
     settle_deg: Positive
     still_degps: Positive
     still_time_s: Positive
+    ride_wake_mm: Positive
+    ride_settle_mm: Positive
     angle_weight_deg: Positive
     rate_weight_degps: Positive
     setpoint_delay_s: Annotated[float, Field(ge=0.0, le=0.1, strict=True)]
     acceleration_mmps2: Annotated[float, Field(ge=20.0, le=2000.0, strict=True)]
     stroke_margin_mm: Positive
     stroke_brake_per_s: Annotated[float, Field(gt=0.0, le=20.0, strict=True)]
-    ride_stroke_mm: Positive
-    ride_rate_per_s: Annotated[float, Field(gt=0.0, le=10.0, strict=True)]
     warp_rate_per_s: Annotated[float, Field(gt=0.0, le=10.0, strict=True)]
+    ride_stroke_mm: Positive
     max_angle_deg: Annotated[float, Field(gt=0.0, le=45.0, strict=True)]
     out_of_reach: Literal["clip", "refuse"]
 
@@ -105,6 +107,10 @@ class LevelingConfig(_Section):
             raise ValueError(
                 f"settle_deg = {self.settle_deg}, dead_zone_deg = {self.dead_zone_deg} and wake_deg = "
                 f"{self.wake_deg} must rise in this order, or the robot hunts: correct them"
+            )
+        if self.ride_settle_mm >= self.ride_wake_mm:
+            raise ValueError(
+                f"ride_settle_mm = {self.ride_settle_mm} must be below ride_wake_mm = {self.ride_wake_mm}: lower it"
             )
         return self
 

@@ -1,0 +1,253 @@
+"""Kalman observer of the real TIGER: body and ground attitude from the IMU and the four measured strokes.
+
+The model is the 7-DOF car (4.9) with the strokes as known inputs: a stroke lifts the spring's upper seat, which is the
+force K lift + C lift_rate at its corner. To its 14 states come the slope of the ground under the wheels (roll, pitch
+and their rates, driven by white acceleration) and the two gyro biases. Heave and warp of the ground leave no trace
+in a single IMU and are no states.
+
+(4.12)-(4.19) print an observer gain without noise covariances; this is the steady-state Kalman gain of the sampled
+model, designed once at start-up. Every tick predicts. A sample corrects the moment it was taken: it is compared with
+the output predicted for then, and the correction is carried forward to now, which is exact for a linear model.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tiger.estimation.kalman import steady_state_gain
+from tiger.models.full_car import FORCE, ROAD, STATES, FullCarParameters, full_car
+from tiger.models.linear import LinearModel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tiger.config.robot import RobotConfig
+
+    Array = NDArray[np.float64]
+
+PLATE = ("plate_roll_rad", "plate_roll_rate_radps", "plate_pitch_rad", "plate_pitch_rate_radps")
+BIAS = ("gyro_bias_x_radps", "gyro_bias_y_radps")
+MEASURED = ("roll_rad", "pitch_rad", "gyro_x_radps", "gyro_y_radps", "imu_heave_accel_mps2")
+
+_INDEX = {name: i for i, name in enumerate((*STATES, *PLATE, *BIAS))}
+_SHOWN = np.array(
+    [_INDEX[n] for n in ("roll_rad", "pitch_rad", "roll_rate_radps", "pitch_rate_radps")]
+    + [_INDEX[n] for n in (PLATE[0], PLATE[2], PLATE[1], PLATE[3], *BIAS)]
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """One attitude message of nano_imu on the host's clock. Axes of the robot; acceleration is without gravity."""
+
+    time_s: float
+    quaternion: tuple[float, float, float, float]
+    """w x y z, body to earth (z up)."""
+    rate_radps: tuple[float, float, float]
+    linear_accel_mps2: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What the observer knows after a tick. The plate is the ground under the wheels, as a plane."""
+
+    ready: bool
+    """False until the first IMU sample came."""
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    roll_rate_radps: float = 0.0
+    pitch_rate_radps: float = 0.0
+    plate_roll_rad: float = 0.0
+    plate_pitch_rad: float = 0.0
+    plate_roll_rate_radps: float = 0.0
+    plate_pitch_rate_radps: float = 0.0
+    gyro_bias_x_radps: float = 0.0
+    gyro_bias_y_radps: float = 0.0
+    innovation: tuple[float, ...] = ()
+    """Sample minus prediction of MEASURED; empty in a tick without a usable sample."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObserverDesign:
+    """What `design_observer` computes once. n = 20 states, p = 5 outputs, u = 4 seat forces, h ticks of history."""
+
+    period_s: float
+    transition: Array
+    """A of one tick (n, n)."""
+    from_force: Array
+    """B of one tick (n, 4)."""
+    output: Array
+    """C (p, n)."""
+    feedthrough: Array
+    """D (p, 4)."""
+    corrections: tuple[Array, ...]
+    """For a sample j ticks old, (n + p j, p): what its innovation adds to the state and to the last j predictions."""
+    at_rest: Array
+    """(n, 6): state at rest on a plate of given roll and pitch under given seat forces."""
+    spring_npm: Array
+    damper_nspm: Array
+    nominal: Array
+    """Static roll and pitch of the body under unit seat forces (2, 4)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObserverState:
+    """The state (n,) and the outputs predicted for the last h ticks (h, p), newest first."""
+
+    x: Array
+    predicted: Array
+    ready: bool
+
+
+def design_observer(robot: RobotConfig) -> ObserverDesign:
+    """Sample the model and design the gain. Takes some milliseconds; raises ValueError where no filter exists."""
+    noise, period = robot.observer, robot.loop.period_s
+    parameters = FullCarParameters.from_config(robot.vehicle)
+    model = _augmented(parameters, robot.vehicle.imu_offset_m[:2])
+    sampled = model.discretise(period)
+    forces, roads = range(4), range(4, 8)
+    transition, from_force = sampled.a, sampled.b[:, list(forces)]
+
+    ticks = max(1, round(robot.loop.rate_hz / noise.imu_rate_hz))
+    process = _process_noise(robot, sampled.b[:, list(roads)])
+    between, total = np.eye(len(transition)), np.zeros_like(transition)
+    for _ in range(ticks):
+        total = transition @ total @ transition.T + process
+        between = transition @ between
+    sigma = np.array(
+        [math.radians(noise.attitude_noise_deg)] * 2
+        + [math.radians(noise.rate_noise_degps)] * 2
+        + [noise.acceleration_noise_mps2]
+    )
+    gain = steady_state_gain(between, sampled.c, total, np.diag(sigma**2)).gain
+
+    history = round(noise.history_ms / 1000.0 / period)
+    corrections, carried = [], [gain]
+    for _ in range(history):
+        later_predictions = [sampled.c @ correction for correction in reversed(carried[1:])]
+        corrections.append(np.vstack([carried[-1], *later_predictions]))
+        carried.append(transition @ carried[-1])
+
+    settled = -np.linalg.solve(model.a[:14, :14], np.hstack([model.a[:14, [14, 16]], model.b[:14, :4]]))
+    at_rest = np.zeros((len(_INDEX), 6))
+    at_rest[:14], at_rest[14, 0], at_rest[16, 1] = settled, 1.0, 1.0
+    return ObserverDesign(
+        period_s=period,
+        transition=transition,
+        from_force=from_force,
+        output=sampled.c,
+        feedthrough=sampled.d[:, :4],
+        corrections=tuple(corrections),
+        at_rest=at_rest,
+        spring_npm=parameters.spring_npm(),
+        damper_nspm=parameters.damper_nspm(),
+        nominal=settled[[_INDEX["roll_rad"], _INDEX["pitch_rad"]], 2:],
+    )
+
+
+def initial_state(design: ObserverDesign) -> ObserverState:
+    """Return the state before the first sample."""
+    n, p = design.transition.shape[0], design.output.shape[0]
+    return ObserverState(np.zeros(n), np.zeros((len(design.corrections), p)), ready=False)
+
+
+def step(
+    design: ObserverDesign,
+    state: ObserverState,
+    lift_m: Array,
+    lift_rate_mps: Array,
+    sample: ImuSample | None,
+    age_s: float = 0.0,
+) -> tuple[ObserverState, Estimate]:
+    """Advance by one tick: predict, and correct if there is a new sample.
+
+    lift_m (4,): how far each stroke lifts the spring's seat, from any fixed zero; lift_rate_mps (4,) its rate.
+    A sample `age_s` older than the history is left out.
+    """
+    force = design.spring_npm * lift_m + design.damper_nspm * lift_rate_mps
+    if not state.ready:
+        return _first(design, state, force, sample)
+    x = design.transition @ state.x + design.from_force @ force
+    predicted = np.empty_like(state.predicted)
+    predicted[0] = design.output @ x + design.feedthrough @ force
+    predicted[1:] = state.predicted[:-1]
+    innovation: tuple[float, ...] = ()
+    if sample is not None:
+        ticks = max(0, round(age_s / design.period_s))
+        if ticks < len(design.corrections):
+            difference = _measured(sample) - predicted[ticks]
+            correction = design.corrections[ticks] @ difference
+            n = len(x)
+            x = x + correction[:n]
+            if ticks:
+                predicted[:ticks] += correction[n:].reshape(ticks, -1)
+            innovation = tuple(difference.tolist())
+    return ObserverState(x, predicted, ready=True), Estimate(True, *x[_SHOWN].tolist(), innovation)
+
+
+def _first(
+    design: ObserverDesign, state: ObserverState, force: Array, sample: ImuSample | None
+) -> tuple[ObserverState, Estimate]:
+    """Start at rest in the attitude of the first sample."""
+    if sample is None:
+        return state, Estimate(ready=False)
+    plate = _measured(sample)[:2] - design.nominal @ force
+    x = design.at_rest @ np.concatenate([plate, force])
+    output = design.output @ x + design.feedthrough @ force
+    predicted = np.tile(output, (len(state.predicted), 1))
+    return ObserverState(x, predicted, ready=True), Estimate(True, *x[_SHOWN].tolist())
+
+
+def attitude_rad(quaternion: tuple[float, float, float, float]) -> tuple[float, float]:
+    """Return roll and pitch (Z-Y-X angles) of a unit quaternion w x y z, body to earth."""
+    w, x, y, z = quaternion
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = math.asin(min(1.0, max(-1.0, 2.0 * (w * y - z * x))))
+    return roll, pitch
+
+
+def _measured(sample: ImuSample) -> Array:
+    """Bring a sample into the model's coordinates: roll, pitch, their rates, and vertical acceleration."""
+    w, x, y, z = sample.quaternion
+    roll, pitch = attitude_rad(sample.quaternion)
+    p, q, r = sample.rate_radps
+    sin, cos = math.sin(roll), math.cos(roll)
+    turning = q * sin + r * cos
+    ax, ay, az = sample.linear_accel_mps2
+    up = 2.0 * (x * z - w * y) * ax + 2.0 * (y * z + w * x) * ay + (1.0 - 2.0 * (x * x + y * y)) * az
+    return np.array([roll, pitch, p + math.tan(pitch) * turning, q * cos - r * sin, up])
+
+
+def _augmented(parameters: FullCarParameters, imu_xy_m: tuple[float, float]) -> LinearModel:
+    """Build the 20-state model with inputs FORCE (seat forces) and ROAD (what is no slope) and outputs MEASURED."""
+    outputs = ("roll_rad", "pitch_rad", "roll_rate_radps", "pitch_rate_radps", "imu_heave_accel_mps2")
+    car = full_car(parameters, imu_xy_m).select(inputs=(*FORCE, *ROAD), outputs=outputs)
+    n = len(_INDEX)
+    x_m, y_m = parameters.corner_positions_m().T
+    slope = np.zeros((4, len(PLATE)))  # heights under the wheels from the states of the plate
+    slope[:, 0], slope[:, 2] = y_m, -x_m
+    a, b, c = np.zeros((n, n)), np.zeros((n, 8)), np.zeros((5, n))
+    a[:14, :14], a[:14, 14:18] = car.a, car.b[:, 4:] @ slope
+    a[14, 15] = a[16, 17] = 1.0
+    b[:14] = car.b
+    c[:, :14], c[:, 14:18] = car.c, car.d[:, 4:] @ slope
+    c[2, _INDEX[BIAS[0]]] = c[3, _INDEX[BIAS[1]]] = 1.0
+    return LinearModel(a, b, c, car.d, tuple(_INDEX), (*FORCE, *ROAD), MEASURED)
+
+
+def _process_noise(robot: RobotConfig, from_road: Array) -> Array:
+    """Covariance that one tick adds, (n, n). The plate's acceleration is white with its sigma over an IMU period."""
+    noise, period = robot.observer, robot.loop.period_s
+    process = (noise.ground_noise_mm / 1000.0) ** 2 * from_road @ from_road.T
+    density = math.radians(noise.plate_acceleration_degps2) ** 2 / noise.imu_rate_hz
+    turn = np.array([[period**3 / 3.0, period**2 / 2.0], [period**2 / 2.0, period]]) * density
+    process[14:16, 14:16] += turn
+    process[16:18, 16:18] += turn
+    drift = math.radians(noise.gyro_bias_drift_degps) ** 2 * period
+    process[18, 18] += drift
+    process[19, 19] += drift
+    return process
