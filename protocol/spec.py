@@ -1,7 +1,8 @@
 """Reads and checks the description of the wire (`tiger.toml`).
 
-`load(path)` returns a `Spec` or raises a `SpecError` that lists everything wrong, each with file, message and field.
-Numbers are exact (`Fraction`) until a template writes them, so that a limit is a whole number of counts or refused.
+`load(path)` returns a `Spec` or raises a `SpecError` that lists everything wrong, each with file, message and
+field. Numbers are exact (`Fraction`) until a template writes them, so that a limit is a whole number of
+counts or refused.
 """
 
 from __future__ import annotations
@@ -376,7 +377,8 @@ class _Reader:
         params = {board: self.params(board, entry) for board, entry in table["param"].items()}
         boards = tuple(
             Board(
-                name, entry["kind"], entry["node"], tuple(entry["instances"]), params.get(name, ()), entry["doc"]
+                name, entry["kind"], entry["node"], tuple(entry["instances"]), params.get(name, ()),
+                entry["doc"]
             )
             for name, entry in table["board"].items()
             if self.checked(entry, _BOARD_KEYS, f"board.{name}")
@@ -531,7 +533,8 @@ class _Reader:
         for what, counts in (("min", low), ("max", high)):
             if not smallest <= counts <= largest:
                 self.problem(
-                    where, f"{what} is {counts} counts of {scale}, outside {smallest} to {largest} of {type_name}"
+                    where, f"{what} is {counts} counts of {scale}, outside {smallest} to {largest} of
+                    {type_name}"
                 )
         if low > high:
             self.problem(where, "min is above max")

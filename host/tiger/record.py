@@ -97,7 +97,7 @@ class DriveSample:
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """Everything `controller.step` may look at. A sample is the newest one there is, or None before the first."""
+    """Everything `controller.step` may look at. A sample is the newest one, None before the first."""
 
     now_s: float
     armed: bool  # the supervisor permits motion

@@ -318,6 +318,7 @@ class Message(Protocol):
     NAME: ClassVar[str]
     SIZE: ClassVar[int]
     CONFIG: ClassVar[bool]
+    FROZEN: ClassVar[bool]
     RATE_HZ: ClassVar[int]
 
     def pack(self) -> bytes:
@@ -336,6 +337,7 @@ class Hello:
     NAME: ClassVar[str] = "hello"
     SIZE: ClassVar[int] = 8
     CONFIG: ClassVar[bool] = False
+    FROZEN: ClassVar[bool] = True
     RATE_HZ: ClassVar[int] = 1
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBIH")
 
@@ -373,6 +375,7 @@ class HelloReply:
     NAME: ClassVar[str] = "hello_reply"
     SIZE: ClassVar[int] = 31
     CONFIG: ClassVar[bool] = False
+    FROZEN: ClassVar[bool] = True
     RATE_HZ: ClassVar[int] = 1
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBBBIIBBBIBBHBIHB")
 
@@ -444,6 +447,7 @@ class Ping:
     NAME: ClassVar[str] = "ping"
     SIZE: ClassVar[int] = 5
     CONFIG: ClassVar[bool] = False
+    FROZEN: ClassVar[bool] = True
     RATE_HZ: ClassVar[int] = 1
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<BI")
 
@@ -475,6 +479,7 @@ class Pong:
     NAME: ClassVar[str] = "pong"
     SIZE: ClassVar[int] = 13
     CONFIG: ClassVar[bool] = False
+    FROZEN: ClassVar[bool] = True
     RATE_HZ: ClassVar[int] = 1
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<BIII")
 
@@ -512,6 +517,7 @@ class Ack:
     NAME: ClassVar[str] = "ack"
     SIZE: ClassVar[int] = 8
     CONFIG: ClassVar[bool] = False
+    FROZEN: ClassVar[bool] = True
     RATE_HZ: ClassVar[int] = 1
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBBBi")
 
@@ -552,6 +558,7 @@ class Arm:
     NAME: ClassVar[str] = "arm"
     SIZE: ClassVar[int] = 6
     CONFIG: ClassVar[bool] = True
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 1
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<BIB")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
@@ -593,6 +600,7 @@ class Disarm:
     NAME: ClassVar[str] = "disarm"
     SIZE: ClassVar[int] = 1
     CONFIG: ClassVar[bool] = True
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 1
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
@@ -628,6 +636,7 @@ class ClearFaults:
     NAME: ClassVar[str] = "clear_faults"
     SIZE: ClassVar[int] = 1
     CONFIG: ClassVar[bool] = True
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 1
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
@@ -663,6 +672,7 @@ class Estop:
     NAME: ClassVar[str] = "estop"
     SIZE: ClassVar[int] = 1
     CONFIG: ClassVar[bool] = True
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 1
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
@@ -698,6 +708,7 @@ class ParamGet:
     NAME: ClassVar[str] = "param_get"
     SIZE: ClassVar[int] = 2
     CONFIG: ClassVar[bool] = True
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 1
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<BB")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
@@ -736,6 +747,7 @@ class ParamSet:
     NAME: ClassVar[str] = "param_set"
     SIZE: ClassVar[int] = 6
     CONFIG: ClassVar[bool] = True
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 1
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBi")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
@@ -777,6 +789,7 @@ class ParamSave:
     NAME: ClassVar[str] = "param_save"
     SIZE: ClassVar[int] = 1
     CONFIG: ClassVar[bool] = True
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 1
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
@@ -812,6 +825,7 @@ class Health:
     NAME: ClassVar[str] = "health"
     SIZE: ClassVar[int] = 34
     CONFIG: ClassVar[bool] = False
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 10
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBIBHHHHHHHHHHHHHB")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
@@ -886,6 +900,7 @@ class Log:
     NAME: ClassVar[str] = "log"
     SIZE: ClassVar[int] = 42
     CONFIG: ClassVar[bool] = False
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 1
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<BB40s")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
@@ -929,6 +944,7 @@ class SuspensionSetpoint:
     NAME: ClassVar[str] = "suspension_setpoint"
     SIZE: ClassVar[int] = 11
     CONFIG: ClassVar[bool] = False
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 100
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<HBhhhh")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
@@ -979,6 +995,7 @@ class SuspensionState:
     NAME: ClassVar[str] = "suspension_state"
     SIZE: ClassVar[int] = 32
     CONFIG: ClassVar[bool] = False
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 100
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<IHHHHhhhhhhhhHBB")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
@@ -1059,6 +1076,7 @@ class SuspensionRaw:
     NAME: ClassVar[str] = "suspension_raw"
     SIZE: ClassVar[int] = 14
     CONFIG: ClassVar[bool] = False
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 10
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<IHHHHH")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
@@ -1107,6 +1125,7 @@ class SuspensionMove:
     NAME: ClassVar[str] = "suspension_move"
     SIZE: ClassVar[int] = 8
     CONFIG: ClassVar[bool] = True
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 1
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<HHHH")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
@@ -1149,6 +1168,7 @@ class ImuAttitude:
     NAME: ClassVar[str] = "imu_attitude"
     SIZE: ClassVar[int] = 32
     CONFIG: ClassVar[bool] = False
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 100
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<IhhhhhhhhhhhhhH")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
@@ -1227,6 +1247,7 @@ class ImuRaw:
     NAME: ClassVar[str] = "imu_raw"
     SIZE: ClassVar[int] = 24
     CONFIG: ClassVar[bool] = False
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 100
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<IhhhhhhhhhBb")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
@@ -1296,6 +1317,7 @@ class WheelSpeed:
     NAME: ClassVar[str] = "wheel_speed"
     SIZE: ClassVar[int] = 30
     CONFIG: ClassVar[bool] = False
+    FROZEN: ClassVar[bool] = False
     RATE_HZ: ClassVar[int] = 100
     _STRUCT: ClassVar[struct.Struct] = struct.Struct("<IiiiiHHHHH")
     _LIMITS: ClassVar[tuple[tuple[str, int, int, int], ...]] = (
