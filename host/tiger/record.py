@@ -8,7 +8,7 @@ Axes are ISO 8855 (roll + = left side up, pitch + = nose down); corners and whee
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
@@ -27,10 +27,20 @@ class DaemonState(IntEnum):
     ESTOP = 5  # emergency stop, latched until released and cleared
 
 
+class Mode(StrEnum):
+    """What the suspension does (Figure 3.3)."""
+
+    HOLD = "hold"  # no stroke moves
+    LEVEL = "level"  # roll and pitch are those of the command, against gravity
+    POSE = "pose"  # roll, pitch and ride height are those of the command, against the wheels
+    STOW = "stow"  # as low as it goes
+
+
 @dataclass(frozen=True, slots=True)
 class Command:
     """What the user asks for. The default asks for a level body that stands still."""
 
+    mode: Mode = Mode.LEVEL
     roll_rad: float = 0.0
     pitch_rad: float = 0.0
     ride_stroke_mm: float | None = None  # mean stroke; None: the one of the config
@@ -122,6 +132,12 @@ class Estimate:
     pitch_rate_radps: float = 0.0
     plate_roll_rad: float = 0.0  # slope of the ground
     plate_pitch_rad: float = 0.0
+    plate_roll_rate_radps: float = 0.0
+    plate_pitch_rate_radps: float = 0.0
+    gyro_bias_radps: tuple[float, float] = (0.0, 0.0)  # x and y, what the board left in
+    innovation: tuple[
+        float, ...
+    ] = ()  # roll, pitch, their rates, vertical acceleration; empty without a new sample
     sigma_rad: float = 0.0  # standard deviation of the worse of roll and pitch
     speed_mps: float = 0.0  # odometry
     yaw_rate_radps: float = 0.0
@@ -135,6 +151,15 @@ class Outputs:
     wheel_rpm: Four = STILL
     estimate: Estimate = field(default_factory=Estimate)
     reason: str = ""  # mode of the controller in a few words
+    error_rad: tuple[float, float] = (0.0, 0.0)  # roll and pitch still to go
+    settled: bool = False  # at the setpoint, quiet
+    unreachable: bool = False  # the strokes do not reach the setpoint: the nearest attitude is held
+    at_limit: tuple[bool, bool, bool, bool] = (
+        False,
+        False,
+        False,
+        False,
+    )  # corners at the end of their stroke
 
 
 @dataclass(frozen=True, slots=True)
