@@ -21,7 +21,7 @@ Record = NDArray[np.void]
 
 def jit(function: _Function) -> _Function:
     """Compile `function` without Python objects and keep the machine code on disk (NUMBA_CACHE_DIR)."""
-    # Contraction (fused multiply-add) is the one liberty taken with IEEE: NaN and infinity keep their meaning.
+    # Fused multiply-add is the one liberty taken with IEEE: NaN and infinity keep their meaning.
     return cast("_Function", numba.njit(cache=True, error_model="numpy", fastmath={"contract"})(function))
 
 

@@ -1,13 +1,13 @@
-"""Loose ground under a wheel: Bekker's pressure-sinkage with Janosi-Hanamoto shear (Remark 5.1, section 4.4.3).
+"""Loose ground under a wheel: Bekker's pressure-sinkage, Janosi-Hanamoto shear (Remark 5.1, section 4.4.3).
 
-A wheel of radius r and width b sinks to z under the load W (Bekker, eq. 2.57 in Wong, Theory of Ground Vehicles):
+A wheel of radius r and width b sinks to z under the load W (Bekker; Wong, Theory of Ground Vehicles, ch. 2):
 
     W = (3 - n)/3 * b * (k_c/b + k_phi) * sqrt(2 r) * z^(n + 1/2)
 
-compacts the soil against a resistance R = b (k_c/b + k_phi) z^(n + 1)/(n + 1), and stands on a patch of length
-L = sqrt(2 r z) that can shear off with at most A c + W tan(phi), A = b L. The shear builds up with the slip
-displacement along the patch (Janosi and Hanamoto), tau = tau_max (1 - exp(-j/K)), j = s x, so that the whole patch
-gives tau_max A (1 - (1 - exp(-u))/u), u = s L/K, opposite to the sliding.
+presses the soil down against a resistance R = b (k_c/b + k_phi) z^(n + 1)/(n + 1), and stands on a patch of
+length L = sqrt(2 r z) that shears off at A c + W tan(phi), A = b L. Along the patch the shear builds up with
+the sliding so far (Janosi and Hanamoto), tau = tau_max (1 - exp(-j/K)), j = s x. Over the whole patch that
+makes tau_max A (1 - (1 - exp(-u))/u) with u = s L/K, opposite to the sliding.
 
 Every wheel rolls on fresh soil: no ruts, no rebound of its own, no bulldozing sideways.
 """
@@ -38,7 +38,7 @@ SOIL = np.dtype(
         ("wheel_width", np.float64),
     ]
 )
-"""A soil under one kind of wheel as compiled code reads it; `stiffness` is k_c/b + k_phi, `soft` False = road."""
+"""A soil under one wheel as compiled code reads it; `stiffness` is k_c/b + k_phi, not `soft` means a road."""
 
 _NEWTON_STEPS = 30
 _NEWTON_TOLERANCE_M = 1e-12
@@ -84,8 +84,7 @@ def sinkage_of_load(s, load):  # type: ignore[no-untyped-def]
 def sinkage_of_tire(s, tire_stiffness, compression):  # type: ignore[no-untyped-def]
     """Sinkage z in m when tyre and soil in series share a compression in m: k (d - z) = W(z).
 
-    Newton from z = d falls monotonically on the root, for W is increasing and, with the tyre, convex enough:
-    a step that would leave [0, d] is cut to half the way.
+    Newton from above the root: both sides are monotonic. A step that would pass zero is cut to half the way.
     """
     if compression <= 0.0:
         return 0.0
@@ -119,7 +118,7 @@ def soil_forces(s, load, sinkage, kappa, tan_alpha):  # type: ignore[no-untyped-
 
 @jit
 def compaction_resistance(s, sinkage):  # type: ignore[no-untyped-def]
-    """Force in N it takes to press the rut: it acts on the wheel's face, through its centre, against rolling."""
+    """Force in N it takes to press the rut; it acts through the wheel's centre, against its motion."""
     return s.wheel_width * s.stiffness * sinkage ** (s.exponent + 1.0) / (s.exponent + 1.0)
 
 

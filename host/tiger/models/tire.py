@@ -104,11 +104,13 @@ def magic_formula(t, load, kappa, tan_alpha):  # type: ignore[no-untyped-def]
 
 
 @jit
-def contact_slip_rates(t, slip_speed, forward_speed, side_speed, kappa, tan_alpha):  # type: ignore[no-untyped-def]
+def contact_slip_rates(  # type: ignore[no-untyped-def]
+    t, slip_speed, forward_speed, side_speed, kappa, tan_alpha
+):
     """(kappa', tan(alpha)') of the contact's first-order lag (Pacejka 2006, ch. 7.2 and 8.6).
 
-    sigma k' = (w r - v_x) - |v_x| k and sigma a' = v_y - |v_x| a, where sliding in place refreshes the contact
-    too, so that the slips cannot wind up beyond `slip_limit` when the wheel spins or slides without rolling.
+    sigma k' = (w r - v_x) - |v_x| k and sigma a' = v_y - |v_x| a. Sliding in place refreshes the contact too,
+    so that the slips cannot wind up beyond `slip_limit` when the wheel spins or slides without rolling.
     """
     transport = max(abs(forward_speed), hypot(slip_speed, side_speed) / t.slip_limit)
     return (
@@ -118,8 +120,10 @@ def contact_slip_rates(t, slip_speed, forward_speed, side_speed, kappa, tan_alph
 
 
 @jit
-def contact_forces(t, load, slip_speed, forward_speed, side_speed, kappa, tan_alpha):  # type: ignore[no-untyped-def]
-    """(F_x, F_y) in N of the lagged slips, plus tread damping that fades with speed (Pacejka 2006, ch. 8.6)."""
+def contact_forces(  # type: ignore[no-untyped-def]
+    t, load, slip_speed, forward_speed, side_speed, kappa, tan_alpha
+):
+    """(F_x, F_y) in N of the lagged slips, plus tread damping that fades with speed (ch. 8.6)."""
     if load <= 0.0:
         return 0.0, 0.0
     if abs(forward_speed) < t.damping_speed:
