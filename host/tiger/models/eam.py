@@ -423,8 +423,12 @@ class LiftCurve:
 
     def at(self, stroke_mm: float) -> tuple[float, float]:
         """Return (rise_mm, motion ratio) at one stroke, in under a microsecond."""
-        stroke = min(max(stroke_mm, 0.0), self.stroke_max_mm)
-        index = min(int(stroke * self._steps_per_mm), self._last)
+        stroke = (
+            0.0 if stroke_mm < 0.0 else self.stroke_max_mm if stroke_mm > self.stroke_max_mm else stroke_mm
+        )
+        index = int(stroke * self._steps_per_mm)
+        if index > self._last:
+            index = self._last
         c3, c2, c1, c0 = self._pieces[index]
         x = stroke - index / self._steps_per_mm
         return ((c3 * x + c2) * x + c1) * x + c0, (3.0 * c3 * x + 2.0 * c2) * x + c1
