@@ -9,12 +9,12 @@
     world.motor_current_a(), world.wheel_speed_rpm
     world.truth()                              # attitude, strokes, ride height: for tests and plots
 
-The body is the linear 7-DOF model about mid-stroke at rest, advanced exactly for inputs that are straight over
-a step: the tilt of the plate under the four wheels, and the lift of the four mechanisms (the true curve of the
-EAM). An actuator's rate follows its duty with a first-order lag; it is self-locking, stops at the ends of its
-stroke, and cannot push more than its force limit. The wheels are free to turn, as on stands; + is forward.
-Everything random comes from the seed, so two worlds given the same calls are equal. The BNO055 is mounted along
-the body axes.
+The body is the linear 7-DOF model about mid-stroke at rest, advanced exactly for inputs that are straight
+over a step: the tilt of the plate under the four wheels, and the lift of the four mechanisms (the true curve
+of the EAM). An actuator's rate follows its duty with a first-order lag; it is self-locking, stops at the ends
+of its stroke, and cannot push more than its force limit. The wheels are free to turn, as on stands; + is
+forward. Everything random comes from the seed, so two worlds given the same calls are equal. The BNO055 is
+mounted along the body axes.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Truth:
 
 
 class World:
-    """See the top of this file. Raises ConfigError's cousins early: a vehicle without an EAM is a MechanismError."""
+    """See the top of this file. Raises MechanismError for a vehicle without an EAM, or impossible strokes."""
 
     def __init__(self, vehicle: VehicleConfig, scenario: Scenario, seed: int = 0) -> None:
         actuator = vehicle.actuator
@@ -112,9 +112,8 @@ class World:
         parameters = FullCarParameters.from_config(vehicle)
         self._parameters = parameters
         self._model = full_car(parameters)
-        self._preload_n = (
-            parameters.static_tire_load_n() - parameters.wheel_mass_kg() * GRAVITY_MPS2
-        ).tolist()
+        body_load = parameters.static_tire_load_n() - parameters.wheel_mass_kg() * GRAVITY_MPS2
+        self._preload_n: list[float] = body_load.tolist()
         self._plate = (PlateAxis(scenario.segments("roll")), PlateAxis(scenario.segments("pitch")))
 
         random_imu, random_pot, random_gear, random_current = (
@@ -122,8 +121,9 @@ class World:
         )
         noisy = scenario.sensor_noise
         self._imu = Imu(_imu_spec(noisy), random_imu)
-        self._field = np.array(MAGNETIC_FIELD_UT)
-        self._imu.magnetometer.advance(self._field, 10.0)
+        self._felt = (np.zeros(3), np.zeros(3))
+        self._field = np.zeros(3)
+        self._magnetic_s = 0.0
         self._potentiometer = Potentiometer(actuator.stroke_max_mm)
         self._random_pot = random_pot if noisy else None
         self._gears = [QuadratureGear(random=random_gear if noisy else None) for _ in range(4)]
@@ -157,7 +157,7 @@ class World:
         self._turn_wheels(wheel_speed_cmd_rpm)
         self.time_us += self._dt_us
         self._move_body()
-        self._feel()
+        self._feel(dt_s)
 
     # ---- what the boards and controllers see
 
@@ -246,7 +246,7 @@ class World:
 
     # ---- physics of one step
 
-    # These run a thousand times a second: comparisons instead of min() and max(), lists instead of small arrays.
+    # These run a thousand times a second: comparisons, not min() and max(); lists, not small arrays.
 
     def _move_actuators(self, actuator_duty: Sequence[float]) -> None:
         rates, strokes, dt_s, gain = self._rate_mmps, self._stroke_mm, self._dt_s, self._actuator_gain
@@ -308,7 +308,7 @@ class World:
         outputs = result[_STATES:].tolist()
         self._accel, self._spring_n = outputs[:3], outputs[3:]
 
-    def _feel(self) -> None:
+    def _feel(self, dt_s: float) -> None:
         """Let the IMU follow the motion of the point where it sits."""
         _, _, pitch, pitch_rate, roll, roll_rate = self._z[:6].tolist()
         heave_accel, pitch_accel, roll_accel = self._accel
@@ -329,9 +329,9 @@ class World:
         accel[1] = pushed * uy + rr * x - pp * z + along * q - square * y
         accel[2] = pushed * uz + pp * y - qq * x + along * r - square * z
         rate[0], rate[1], rate[2] = p, q, r
-        self._imu.accelerometer.advance(accel, self._dt_s)
-        self._imu.gyroscope.advance(rate, self._dt_s)
-        self._magnetic_s += self._dt_s
+        self._imu.accelerometer.advance(accel, dt_s)
+        self._imu.gyroscope.advance(rate, dt_s)
+        self._magnetic_s += dt_s
         if self._magnetic_s >= _MAGNETIC_PERIOD_S:
             self._imu.magnetometer.advance(self._field_in_body(), self._magnetic_s)
             self._magnetic_s = 0.0
@@ -339,10 +339,10 @@ class World:
     # ---- preparation
 
     def _prepare(self, dt_s: float) -> None:
-        """Make the matrix that takes (state, inputs, their change over a step) to (state, accelerations, springs).
+        """Make the matrix that takes (state, inputs, their change) to (state, accelerations, spring forces).
 
-        Inputs are straight over the step, so the extended system (x, u, change) is autonomous and its exponential
-        is exact.
+        Inputs are straight over the step, so the extended system (x, u, change) is autonomous and its
+        exponential is exact.
         """
         self._dt_us = round(dt_s * 1e6)
         if self._dt_us <= 0 or abs(self._dt_us - dt_s * 1e6) > 1e-6:
@@ -390,7 +390,7 @@ class World:
         return selected.b if which == "b" else self._output_rows(selected.d)
 
     def _output_rows(self, matrix: Array) -> Array:
-        """Rows of our outputs, (7, ...): three accelerations, four spring-damper forces but for the lift's part."""
+        """Rows of our outputs, (7, ...): three accelerations, four spring forces but for the lift's part."""
         rows = {name: matrix[self._model.outputs.index(name)] for name in self._model.outputs}
         springs = [
             -stiffness * rows[deflection] - damping * rows[rate]
@@ -409,12 +409,9 @@ class World:
         inputs = self._now
         self._state[:] = -np.linalg.solve(self._model.a, self._input_matrix("b") @ inputs)
         outputs = self._output_rows(self._model.c) @ self._state + self._input_matrix("d") @ inputs
-        self._accel, self._spring_n = [0.0] * 3, outputs[3:].tolist()
-        self._felt = (np.zeros(3), np.zeros(3))
-        self._magnetic_s = 0.0
-        self._dt_s, settling = 1.0, self._dt_s  # the sensors' low-passes have long settled
-        self._feel()
-        self._dt_s = settling
+        self._accel: list[float] = [0.0] * 3
+        self._spring_n: list[float] = outputs[3:].tolist()
+        self._feel(_LONG_S)
 
     def _field_in_body(self) -> Array:
         """Earth's field in body axes for the present roll and pitch."""
@@ -431,11 +428,10 @@ def _lag_gain(dt_s: float, lag_s: float) -> float:
 
 
 def _imu_spec(noisy: bool) -> ImuSpec:
-    """The BNO055 after its accelerometer and magnetometer were calibrated once; the gyro's bias is as it comes."""
+    """The BNO055 with its accelerometer and magnetometer calibrated; the gyro's bias is as it comes."""
     if not noisy:
-        return ImuSpec(
-            *(_perfect(spec) for spec in (BNO055.accelerometer, BNO055.gyroscope, BNO055.magnetometer))
-        )
+        triads = (BNO055.accelerometer, BNO055.gyroscope, BNO055.magnetometer)
+        return ImuSpec(*(_perfect(spec) for spec in triads))
     return ImuSpec(
         accelerometer=replace(BNO055.accelerometer, bias=CALIBRATED_ACCEL_OFFSET_MPS2),
         gyroscope=replace(BNO055.gyroscope, bias=radians(1.0)),
