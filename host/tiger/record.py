@@ -1,8 +1,9 @@
 """What one control tick knew, did and why: the type that every log, page and bridge reads.
 
-`Inputs` goes into `controller.step`, `Outputs` comes out, `Record` keeps both with the state of the supervisor.
-Times are seconds of the host's monotonic clock; the time of a sample is when the board took it, not when it arrived.
-Axes are ISO 8855 (roll + = left side up, pitch + = nose down); corners and wheels are FL, FR, RL, RR.
+`Inputs` goes into `controller.step`, `Outputs` comes out, `Record` keeps both with the state of the
+supervisor. Times are seconds of the host's monotonic clock; the time of a sample is when the board took it,
+not when it arrived. Axes are ISO 8855 (roll + = left side up, pitch + = nose down); corners and wheels are
+FL, FR, RL, RR.
 """
 
 from __future__ import annotations
@@ -162,10 +163,27 @@ class Outputs:
     )  # corners at the end of their stroke
 
 
+class ProblemKind(StrEnum):
+    """What sort of thing keeps the robot from working."""
+
+    PORT = "port"  # cannot be opened, or vanished
+    NO_ANSWER = "no answer"  # a device does not talk
+    PROTOCOL = "protocol"  # a board speaks another version of the framing
+    SCHEMA = "schema"  # a board was built from another description of the wire
+    WRONG_BOARD = "wrong board"  # a board where another one belongs
+    DUPLICATE = "duplicate"  # two boards of one kind and instance
+    MISSING = "missing"  # a board that the robot needs is on none of the ports
+    WIRING = "wiring"  # directions or sides disagree
+    FAULT = "fault"  # a board or drive controller latched a fault
+    LIMIT = "limit"  # a measurement outside the limits of the config
+    REFUSED = "refused"  # a command was not obeyed
+
+
 @dataclass(frozen=True, slots=True)
 class Problem:
     """Something that keeps the robot from working: what, and the next step."""
 
+    kind: ProblemKind
     where: str  # the board, port or key
     text: str
     next_step: str
