@@ -41,10 +41,11 @@ DEFAULT_STEP_S = 1e-3
 
 
 class Inputs:
-    """What acts on a vehicle during a step: named views of one array (26,). Corners FL, FR, RL, RR.
+    """What acts on a vehicle during a step: named views of one array (34,). Corners FL, FR, RL, RR.
 
     `wheel_speed_radps` commands a motor's speed where it is not NaN, and `wheel_torque_nm` acts where it is.
-    `lift_m` is how far a series actuator has raised the spring seat, `lift_rate_mps` how fast it does.
+    `lift_m` is how far a series actuator has raised the spring seat, `lift_rate_mps` how fast it does;
+    `post_m` lifts the ground under a wheel, as on a four-post rig.
     """
 
     __slots__ = (
@@ -53,6 +54,8 @@ class Inputs:
         "body_moment_nm",
         "lift_m",
         "lift_rate_mps",
+        "post_m",
+        "post_rate_mps",
         "vector",
         "wheel_speed_radps",
         "wheel_torque_nm",
@@ -68,6 +71,8 @@ class Inputs:
         self.lift_rate_mps = self.vector[kernel.LIFT_RATE_AT : kernel.LIFT_RATE_AT + 4]
         self.body_force_n = self.vector[kernel.BODY_FORCE_AT : kernel.BODY_FORCE_AT + 3]
         self.body_moment_nm = self.vector[kernel.BODY_MOMENT_AT : kernel.BODY_MOMENT_AT + 3]
+        self.post_m = self.vector[kernel.POST_AT : kernel.POST_AT + 4]
+        self.post_rate_mps = self.vector[kernel.POST_RATE_AT : kernel.POST_RATE_AT + 4]
         self.wheel_speed_radps[:] = np.nan
 
 
@@ -238,7 +243,7 @@ class Vehicle:
         settled = state.copy()
         settled[kernel.SPIN_AT : kernel.SPIN_AT + 4] = 0.0
         steps = round(duration_s / DEFAULT_STEP_S)
-        kernel.advance(braked, *self._plant[1:], settled, held.vector, DEFAULT_STEP_S, steps, self._contact)
+        kernel.advance(locked, *self._plant[1:], settled, held.vector, DEFAULT_STEP_S, steps, self._contact)
         return settled
 
     # ---- stepping ------------
@@ -305,7 +310,7 @@ class Vehicle:
     ) -> History:
         """Run from `state` (left untouched) and sample every `steps_per_sample` steps.
 
-        `inputs` is held, or a table (n, 26) of input vectors, one row per sample: n = duration/sample period.
+        `inputs` is held, or a table (n, 34) of input vectors, one row per sample: n = duration/sample period.
         Raises ValueError if the table's length does not fit.
         """
         samples = max(1, round(duration_s / (dt_s * steps_per_sample)))

@@ -10,9 +10,10 @@ State (33), SI: position of the body's COM in the world, attitude quaternion (w,
 velocity and body rates in body axes, strut compression (wheel up relative to the body) and its rate, wheel
 spin, and the two slips of each contact. Corners are FL, FR, RL, RR.
 
-Inputs (26): wheel torque; wheel speed command (NaN: none, else it replaces the torque); actuator force
+Inputs (34): wheel torque; wheel speed command (NaN: none, else it replaces the torque); actuator force
 (+ lifts the body); lift of the spring seat by a series actuator, and its rate; then a force and a moment on
-the body at its COM in body axes (disturbances, ideal holds).
+the body at its COM in body axes (disturbances, ideal holds); and the height and speed of a post that lifts
+the ground under each wheel (a four-post rig, or a profile given per wheel; it has no slope).
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ STRUT_AT, STRUT_RATE_AT, SPIN_AT, KAPPA_AT, ALPHA_AT = 13, 17, 21, 25, 29
 STATES = 33
 
 TORQUE_AT, SPEED_AT, FORCE_AT, LIFT_AT, LIFT_RATE_AT, BODY_FORCE_AT, BODY_MOMENT_AT = 0, 4, 8, 12, 16, 20, 23
-INPUTS = 26
+POST_AT, POST_RATE_AT = 26, 30
+INPUTS = 34
 
 LOAD_AT, FX_AT, FY_AT, STRUT_FORCE_AT, DRIVE_TORQUE_AT, GROUND_AT, SINKAGE_AT = range(7)
 CONTACT_FIGURES = 7
@@ -103,6 +105,7 @@ def derivative(  # type: ignore[no-untyped-def]
         # Tyre spring between ground and wheel, unilateral; its force is minus the gradient of its energy, so
         # that a slope pushes back (erratum of eq. 5.4) and a bump gives no energy away.
         height, hx, hy = ground_at(ground, features, heights, cx, cy)
+        height += inputs[POST_AT + i] + lead * inputs[POST_RATE_AT + i]
         compression = height + v.free_radius[i] - cz
         sinkage = 0.0
         if s.soft:
@@ -112,7 +115,8 @@ def derivative(  # type: ignore[no-untyped-def]
         if compression > 0.0:
             vertical = max(
                 0.0,
-                v.tire_stiffness * (compression - sinkage) + v.tire_damping * (hx * wx + hy * wy - wz),
+                v.tire_stiffness * (compression - sinkage)
+                + v.tire_damping * (hx * wx + hy * wy - wz + inputs[POST_RATE_AT + i]),
             )
         steepness = sqrt(1.0 + hx * hx + hy * hy)
         load = vertical * steepness
@@ -259,7 +263,7 @@ def advance(  # type: ignore[no-untyped-def]
 def run(  # type: ignore[no-untyped-def]
     vehicle, tire, soil, ground, features, heights, state, inputs, dt, steps, states, rates, contacts
 ):
-    """Advance by `steps` per row of `inputs` (n, 26); record state, its rate and contacts (n + 1, ...)."""
+    """Advance by `steps` per row of `inputs` (n, 34); record state, its rate and contacts (n + 1, ...)."""
     n = inputs.shape[0]
     for i in range(n):
         derivative(
