@@ -75,6 +75,8 @@ class FullCarParameters:
     front_damper_nspm: float
     rear_damper_nspm: float
     tire_stiffness_npm: float
+    com_left_m: float = 0.0
+    """How far the centre of mass lies to the left of the mid-plane."""
 
     @classmethod
     def from_config(cls, vehicle: VehicleConfig) -> FullCarParameters:
@@ -102,8 +104,9 @@ class FullCarParameters:
 
     def corner_positions_m(self) -> Array:
         """Return (x, y) of each corner from the centre of mass, shape (4, 2)."""
-        a, b, w = self.com_to_front_axle_m, self.com_to_rear_axle_m, self.half_track_m
-        return np.array([[a, w], [a, -w], [-b, w], [-b, -w]])
+        a, b = self.com_to_front_axle_m, self.com_to_rear_axle_m
+        left, right = self.half_track_m - self.com_left_m, -self.half_track_m - self.com_left_m
+        return np.array([[a, left], [a, right], [-b, left], [-b, right]])
 
     def corner_kinematics(self) -> Array:
         """Return T of (4.8): corner heights (4,) = T @ [heave, pitch, roll], shape (4, 3)."""
@@ -124,8 +127,9 @@ class FullCarParameters:
 
     def static_tire_load_n(self) -> Array:
         """Return the tyre load of each corner at rest, the denominators of eta in section 6.2, shape (4,)."""
-        share = np.array([self.com_to_rear_axle_m, self.com_to_front_axle_m]) / (2 * self.wheelbase_m)
-        return GRAVITY_MPS2 * (np.repeat(share * self.body_mass_kg, 2) + self.wheel_mass_kg())
+        x, y = self.corner_positions_m().T
+        share = (1 - np.abs(x) / self.wheelbase_m) * (1 - np.abs(y) / (2 * self.half_track_m))
+        return GRAVITY_MPS2 * (share * self.body_mass_kg + self.wheel_mass_kg())
 
 
 def full_car(p: FullCarParameters, imu_offset_m: tuple[float, float] = (0.0, 0.0)) -> LinearModel:

@@ -1,0 +1,186 @@
+"""Find the weights of the chapter 6 ride controllers: CMA-ES over logarithms, one goal per design.
+
+    python bench/tune_ride.py NAME [--minutes 3] [--start '{"parameters": [...]}']
+
+Prints the best parameters after every improvement; the winners are copied into `tiger/control/ride_designs.py`.
+Training seeds are 1000 and up, so that the studies (seeds 0 and up) judge on roads and noise never trained on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tiger.config.vehicle import load_vehicle
+from tiger.control import ride
+from tiger.control.ride import ImuNoise, RideWeights, RoadPrior
+from tiger.models.full_car import FullCarParameters
+from tiger.models.road import Bump, iso_road, wheel_heights_m
+from tiger.studies.performance import fine_time_s, performance_index, simulate
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+CAR = FullCarParameters.from_config(load_vehicle("table-6-1"))
+PRINTED_ACTIVE_BUMPY = np.array(
+    [0.662, 0.302, 0.215, 0.107, 0.089, 0.043, 0.067, 0.021, 0.029, 0.042, 0.802, 0.747, 0.854, 0.865]
+)
+START = np.log(
+    [1.33, 5.02, 0.77, 0.89, 0.04, 7.95, 2.95, 2.21, 8.73, 3.2e-10, 0.0030, 0.0046, 2.54, 0.05]
+)
+SEED = 1000
+
+
+def build(parameters: Array, noise: ImuNoise, preview_s: float | None, delay: int = 0) -> ride.RideController:
+    """Turn log-parameters into a controller; the last one is the lane correlation's logit."""
+    w = np.exp(parameters)
+    prior = RoadPrior(w[10], w[11], w[12], lane_correlation=float(np.tanh(w[13])))
+    return ride.design(
+        ride.ride_model(CAR, prior, preview_s), RideWeights(*(float(x) for x in w[:10])), noise, delay
+    )
+
+
+@dataclass
+class Bumpy:
+    """Worst row against the printed active column, over a few noise seeds."""
+
+    factor: float
+    preview_s: float | None
+    seeds: int = 4
+
+    def __post_init__(self) -> None:
+        self.noise = ImuNoise().scaled(self.factor)
+        self.road = wheel_heights_m(Bump(), fine_time_s(4.13), 20.0, (0, 0.049, 0.102, 0.151))
+
+    def __call__(self, x: Array) -> float:
+        controller = build(x, self.noise, self.preview_s)
+        run = simulate(CAR, self.road, controller, self.noise, tuple(range(SEED, SEED + self.seeds)))
+        ratio = performance_index(CAR, 0.08, run) / PRINTED_ACTIVE_BUMPY
+        return float(np.log(np.sum(ratio**40) / ratio.shape[0]) / 40)
+
+
+@dataclass
+class Iso:
+    """Rows of active / passive against their goals, mean over several roads."""
+
+    goals: Array
+    preview_s: float | None
+    roads: int = 5
+    delay: int = 0
+    power: float = 30.0
+
+    def __post_init__(self) -> None:
+        self.noise = ImuNoise()
+        time_s = fine_time_s(8.0)
+        roads = [
+            wheel_heights_m(
+                iso_road("C", SEED + i, band_cycles_per_m=(0.01, 2.83)), time_s, 10.0, (0, 0, 0.268, 0.268)
+            )
+            for i in range(self.roads)
+        ]
+        self.road = np.stack(roads)
+        self.run_seeds = tuple(range(SEED, SEED + self.roads))
+        self.passive = performance_index(CAR, 0.08, simulate(CAR, self.road, seeds=self.run_seeds))
+
+    def __call__(self, x: Array) -> float:
+        controller = build(x, self.noise, self.preview_s, self.delay)
+        run = simulate(
+            CAR, self.road, controller, self.noise, self.run_seeds, delay_s=self.delay * ride.PERIOD_S
+        )
+        index = performance_index(CAR, 0.08, run)
+        ratio = (index / self.passive).mean(0)[[1, 3, 5, 6, 7, 8, 9]] / self.goals
+        mu = index[:, 10:].max() / 0.9
+        rows = np.append(ratio, mu)
+        return float(np.log(np.sum(rows**self.power)) / self.power)
+
+
+GOALS: dict[str, Callable[[], Callable[[Array], float]]] = {
+    "bumpy-preview-x0.03": lambda: Bumpy(0.03, 0.102),
+    "bumpy-preview-x0.1": lambda: Bumpy(0.1, 0.102),
+    "bumpy-plain-x1": lambda: Bumpy(1.0, None),
+    "iso-preview": lambda: Iso(np.array([0.375, 0.33, 0.365, 0.97, 0.97, 1.31, 1.31]), 0.268),
+    "iso-plain": lambda: Iso(np.array([0.375, 0.33, 0.365, 0.97, 0.97, 1.31, 1.31]), None),
+    "holding-plain": lambda: Iso(np.array([0.51, 0.45, 0.56, 1.0, 1.0, 1.0, 1.0]), None),
+    "holding-preview": lambda: Iso(np.array([0.45, 0.38, 0.48, 1.0, 1.0, 0.75, 0.75]), 0.268),
+    "robust": lambda: Iso(np.array([0.55, 0.5, 0.6, 1.0, 1.0, 1.0, 1.0]), None, delay=1),
+}
+
+
+def minimise(goal: Callable[[Array], float], start: Array, step: float, minutes: float, name: str) -> Array:
+    """Run CMA-ES (Hansen 2016, default constants) until the time is up; a design that fails costs infinity."""
+    rng = np.random.default_rng(SEED)
+    n = len(start)
+    size = 4 + int(3 * np.log(n))
+    parents = size // 2
+    weight = np.log(parents + 0.5) - np.log(np.arange(1, parents + 1))
+    weight /= weight.sum()
+    effective = 1 / np.sum(weight**2)
+    c_sigma = (effective + 2) / (n + effective + 5)
+    damping = 1 + 2 * max(0.0, np.sqrt((effective - 1) / (n + 1)) - 1) + c_sigma
+    c_path = (4 + effective / n) / (n + 4 + 2 * effective / n)
+    c_one = 2 / ((n + 1.3) ** 2 + effective)
+    c_mu = min(1 - c_one, 2 * (effective - 2 + 1 / effective) / ((n + 2) ** 2 + effective))
+    expected = np.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n**2))
+    mean, covariance, path_sigma, path = start.copy(), np.eye(n), np.zeros(n), np.zeros(n)
+    best, best_cost, generation = start, np.inf, 0
+    deadline = time.monotonic() + 60 * minutes
+    while time.monotonic() < deadline:
+        generation += 1
+        values, vectors = np.linalg.eigh(covariance)
+        scale = np.sqrt(np.maximum(values, 1e-20))
+        steps = rng.standard_normal((size, n)) * scale @ vectors.T
+        costs = np.array([_try(goal, mean + step * s) for s in steps])
+        order = np.argsort(costs)
+        if costs[order[0]] < best_cost:
+            best, best_cost = mean + step * steps[order[0]], costs[order[0]]
+            print(json.dumps({"name": name, "cost": best_cost, "gen": generation, "step": step,
+                              "parameters": best.tolist()}), flush=True)
+        move = weight @ steps[order[:parents]]
+        mean = mean + step * move
+        whitened = vectors @ ((vectors.T @ move) / scale)
+        path_sigma = (1 - c_sigma) * path_sigma + np.sqrt(c_sigma * (2 - c_sigma) * effective) * whitened
+        length = np.linalg.norm(path_sigma)
+        on = length / np.sqrt(1 - (1 - c_sigma) ** (2 * generation)) < (1.4 + 2 / (n + 1)) * expected
+        path = (1 - c_path) * path + on * np.sqrt(c_path * (2 - c_path) * effective) * move
+        chosen = steps[order[:parents]]
+        covariance = (
+            (1 - c_one - c_mu) * covariance
+            + c_one * np.outer(path, path)
+            + c_mu * (chosen.T * weight) @ chosen
+        )
+        step *= np.exp(c_sigma / damping * (length / expected - 1))
+    return best
+
+
+def _try(goal: Callable[[Array], float], x: Array) -> float:
+    try:
+        with np.errstate(all="ignore"):
+            cost = goal(x)
+    except (ValueError, np.linalg.LinAlgError):
+        return np.inf
+    return cost if np.isfinite(cost) else np.inf
+
+
+def main() -> None:
+    """Tune the named design and print its parameters."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("name", choices=GOALS)
+    parser.add_argument("--minutes", type=float, default=3.0)
+    parser.add_argument("--start", help="JSON with the parameters to start from")
+    parser.add_argument("--step", type=float, default=0.2)
+    arguments = parser.parse_args()
+    start = START if arguments.start is None else np.array(json.loads(arguments.start)["parameters"])
+    minimise(GOALS[arguments.name](), start, arguments.step, arguments.minutes, arguments.name)
+
+
+if __name__ == "__main__":
+    main()

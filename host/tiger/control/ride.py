@@ -1,0 +1,302 @@
+"""Chapter 6: a Kalman filter on one noisy IMU and a linear-quadratic regulator over what it estimates.
+
+Measured are [heave acceleration at the IMU, pitch rate, roll rate]. The filter estimates the 14 states of the car and
+the road: four independent wheel roads, or two tracks whose front wheels show the rear wheels their road a wheelbase
+later (preview). The regulator weighs body accelerations and rates, suspension and tyre deflections, and forces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import block_diag, expm
+
+from tiger.control.lqr import dlqr, output_weights
+from tiger.estimation.kalman import steady_state_gain
+from tiger.models.full_car import (
+    BODY_ACCELERATION,
+    BODY_RATE,
+    FORCE,
+    IMU,
+    ROAD,
+    SUSPENSION,
+    TIRE,
+    full_car,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tiger.models.full_car import FullCarParameters
+    from tiger.models.linear import LinearModel
+
+    Array = NDArray[np.float64]
+
+PERIOD_S = 0.005
+CAR_STATES = 14
+REGULATED = (*BODY_ACCELERATION, *BODY_RATE, *SUSPENSION, *TIRE)
+
+
+@dataclass(frozen=True, slots=True)
+class ImuNoise:
+    """Standard deviation per sample of the accelerometer and of the two gyros."""
+
+    accel_mps2: float = 0.02
+    rate_radps: float = 0.001
+
+    def scaled(self, factor: float) -> ImuNoise:
+        """Return the same IMU with `factor` times the noise."""
+        return ImuNoise(self.accel_mps2 * factor, self.rate_radps * factor)
+
+    def covariance(self) -> Array:
+        """Return the measurement covariance, shape (3, 3)."""
+        return np.diag([self.accel_mps2, self.rate_radps, self.rate_radps]) ** 2
+
+
+@dataclass(frozen=True, slots=True)
+class RoadPrior:
+    """What the filter believes of a road: q' = v - leak q, v' = bandwidth (noise w - v) with w white of unit intensity.
+
+    `noise` (m/sqrt(s)) is the road rate's density well below `bandwidth_radps`; a class C road at 10 m/s has 0.0225.
+    """
+
+    noise: float
+    leak_radps: float
+    bandwidth_radps: float
+    lane_correlation: float = 0.0
+    """Between the noise of the left and of the right lane: 0 for two roads, near 1 for bumps across the road."""
+
+    def dynamics(self) -> tuple[Array, Array]:
+        """Return A (2, 2) and the noise input (2,) of [q, v]."""
+        a = np.array([[-self.leak_radps, 1.0], [0.0, -self.bandwidth_radps]])
+        return a, np.array([0.0, self.bandwidth_radps * self.noise])
+
+
+@dataclass(frozen=True, slots=True)
+class RideWeights:
+    """Cost of the square of each quantity, relative to (m/s^2)^2 of heave acceleration.
+
+    Accelerations per (rad/s^2)^2, rates per (m/s)^2 and (rad/s)^2, deflections per m^2, force per N^2.
+    """
+
+    pitch_accel: float
+    roll_accel: float
+    heave_rate: float
+    pitch_rate: float
+    roll_rate: float
+    suspension_front: float
+    suspension_rear: float
+    tire_front: float
+    tire_rear: float
+    force: float
+    heave_accel: float = 1.0
+
+    def of_outputs(self) -> Array:
+        """Return the weights in the order of REGULATED, shape (14,)."""
+        deflection = np.repeat(
+            [self.suspension_front, self.suspension_rear, self.tire_front, self.tire_rear], 2
+        )
+        body = [self.heave_accel, self.pitch_accel, self.roll_accel]
+        rates = [self.heave_rate, self.pitch_rate, self.roll_rate]
+        return np.concatenate([body, rates, deflection])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RideModel:
+    """The car on its road, sampled: s = [car (14), road], s[k+1] = A s + B F + w, IMU = C s + D F, regulated = H s + J F.
+
+    F acts from one sample to the next. The road part is out of reach of F. `process` is the covariance of w.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    h: Array
+    j: Array
+    process: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RideController:
+    """Gains of filter and regulator over `model`, and how late its force acts.
+
+    delay_samples 0: the force computed from a measurement acts at once; 1: it acts a period later, and the regulator
+    works on the state predicted for that time.
+    """
+
+    model: RideModel
+    filter_gain: Array
+    feedback: Array
+    delay_samples: int = 0
+    max_force_n: float = np.inf
+
+    def start(self, runs: int | None = None) -> RideState:
+        """Return the state of a controller that knows nothing yet, or of `runs` of them side by side."""
+        tail = () if runs is None else (runs,)
+        return RideState(np.zeros((len(self.model.a), *tail)), np.zeros((4, *tail)), np.zeros((4, *tail)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RideState:
+    """Model state predicted for the next measurement, the force acting until then, and the one to act after it."""
+
+    predicted: Array
+    acting_n: Array
+    pending_n: Array
+
+
+def step(controller: RideController, state: RideState, imu: Array) -> tuple[RideState, Array]:
+    """Take one measurement [heave accel, pitch rate, roll rate] and return the new state and the force, N.
+
+    imu is (3,) and the force (4,), or (3, runs) and (4, runs) for runs side by side. (6.22)-(6.23) with the gain in
+    filter form. The force is limited to `max_force_n`, and the filter knows the limited one.
+    """
+    model, limit = controller.model, controller.max_force_n
+    innovation = imu - model.c @ state.predicted - model.d @ state.acting_n
+    estimate = state.predicted + controller.filter_gain @ innovation
+    if controller.delay_samples:
+        acting = state.pending_n
+        predicted = model.a @ estimate + model.b @ acting
+        force = np.clip(-controller.feedback @ predicted, -limit, limit)
+    else:
+        acting = force = np.clip(-controller.feedback @ estimate, -limit, limit)
+        predicted = model.a @ estimate + model.b @ force
+    return RideState(predicted, acting, force), force
+
+
+def ride_model(
+    p: FullCarParameters,
+    prior: RoadPrior,
+    preview_s: float | None = None,
+    imu_offset_m: tuple[float, float] = (0.0, 0.0),
+    period_s: float = PERIOD_S,
+) -> RideModel:
+    """Sample the car together with its road.
+
+    preview_s None: four independent roads. Otherwise two tracks, and each rear wheel meets its track `preview_s` after
+    the front wheel; the delay need not be a whole number of samples, but must be at least one.
+    """
+    car = full_car(p, imu_offset_m)
+    imu = car.select(inputs=FORCE, outputs=IMU)
+    regulated = car.select(inputs=(*ROAD, *FORCE), outputs=REGULATED)
+    sources = 4 if preview_s is None else 2
+    track, drive = prior.dynamics()
+
+    # Car and shaping filters as one continuous system, so that the road is exact between the samples.
+    size = CAR_STATES + 2 * sources
+    height = np.arange(CAR_STATES, size, 2)
+    a, noise = np.zeros((size, size)), np.zeros((size, sources))
+    a[:CAR_STATES, :CAR_STATES] = car.a
+    a[:CAR_STATES, height] = car.select(inputs=ROAD[:sources]).b
+    a[CAR_STATES:, CAR_STATES:] = np.kron(np.eye(sources), track)
+    lanes = np.array([[1.0, 0.0], [prior.lane_correlation, np.sqrt(1 - prior.lane_correlation**2)]])
+    noise[CAR_STATES:] = np.kron(np.kron(np.eye(sources // 2), lanes), drive[:, None])
+    held = np.zeros((size, 4 + 2))
+    held[:CAR_STATES, :4] = imu.b
+    held[:CAR_STATES, 4:] = car.select(inputs=ROAD[2:]).b
+    transition, constant, ramp = hold(a, held, period_s)
+    process = _sampled_noise(a, noise @ noise.T, period_s)
+
+    selector = np.zeros((4, size))
+    selector[np.arange(sources), height] = 1.0
+    if preview_s is None:
+        return _assemble(transition, constant[:, :4], imu, regulated, selector, process)
+
+    whole, part = divmod(preview_s / period_s, 1.0)
+    taps = int(whole) + 1
+    if whole < 1:
+        raise ValueError(f"the preview of {preview_s} s is shorter than one period of {period_s} s")
+    total = size + 2 * taps
+    # Tap j of a track holds its height j samples ago; the rear wheel lies between the last two taps.
+    shift, now, then = np.zeros((total, total)), np.zeros((2, total)), np.zeros((2, total))
+    for side in range(2):
+        line = np.r_[height[side], size + side * taps + np.arange(taps)]
+        shift[line[1:], line[:-1]] = 1.0
+        now[side, line[-2:]] = 1 - part, part
+        then[side, line[-3:-1]] = 1 - part, part
+    shift[:size, :size] = transition
+    shift[:size] += (constant[:, 4:] - ramp[:, 4:]) @ now + ramp[:, 4:] @ then
+    selector = np.hstack([selector, np.zeros((4, 2 * taps))])
+    selector[2:] = now
+    b = np.vstack([constant[:, :4], np.zeros((2 * taps, 4))])
+    process = block_diag(process, np.zeros((2 * taps, 2 * taps)))
+    return _assemble(shift, b, imu, regulated, selector, process)
+
+
+def design(
+    model: RideModel,
+    weights: RideWeights,
+    noise: ImuNoise,
+    delay_samples: int = 0,
+    max_force_n: float = np.inf,
+) -> RideController:
+    """Solve both Riccati equations. Raises ValueError where filter or regulator has no stabilising solution."""
+    if delay_samples not in (0, 1):
+        raise ValueError(f"the force may act 0 or 1 samples late, not {delay_samples}")
+    filtered = steady_state_gain(model.a, model.c, model.process, noise.covariance())
+    feedback = _regulate(model, weights)
+    return RideController(model, filtered.gain, feedback, delay_samples, max_force_n)
+
+
+def _regulate(model: RideModel, weights: RideWeights) -> Array:
+    """Return the feedback of car states and the feed-forward of road states, shape (4, n).
+
+    The road is out of reach, so the Riccati equation is that of the car's 14 states alone; the block of the cost that
+    joins car and road then follows from the linear equation P = A_c'(E' + P S) + Q - G'N.
+    """
+    n = CAR_STATES
+    car, from_road, road = model.a[:n, :n], model.a[:n, n:], model.a[n:, n:]
+    b = model.b[:n]
+    force = np.eye(4) * weights.force
+    q, r, cross = output_weights(model.h, model.j, weights.of_outputs(), force)
+    regulator = dlqr(car, b, q[:n, :n], r, cross[:n])
+    constant = regulator.closed_loop.T @ regulator.cost @ from_road + q[:n, n:] - regulator.gain.T @ cross[n:].T
+    joint = _stein(regulator.closed_loop.T, road, constant)
+    inner = r + b.T @ regulator.cost @ b
+    forward = np.linalg.solve(inner, b.T @ (regulator.cost @ from_road + joint @ road) + cross[n:].T)
+    return np.hstack([regulator.gain, forward])
+
+
+def _stein(left: Array, right: Array, constant: Array) -> Array:
+    """Solve P = left P right + constant for stable left and right, by squaring (Smith 1968)."""
+    total = constant
+    for _ in range(60):
+        increment = left @ total @ right
+        total = total + increment
+        if np.abs(increment).max() <= 1e-13 * np.abs(total).max():
+            return total
+        left, right = left @ left, right @ right
+    raise ValueError("the road model does not settle: give the prior a leak and a bandwidth above zero")
+
+
+def hold(a: Array, b: Array, period_s: float) -> tuple[Array, Array, Array]:
+    """Sample x' = a x + b u: return the transition, the effect of a held input, and that of one rising from 0 to 1."""
+    n, m = b.shape
+    block = np.zeros((n + 2 * m, n + 2 * m))
+    block[:n, :n], block[:n, n : n + m] = a * period_s, b * period_s
+    block[n : n + m, n + m :] = np.eye(m)
+    power = expm(block)
+    return power[:n, :n], power[:n, n : n + m], power[:n, n + m :]
+
+
+def _sampled_noise(a: Array, intensity: Array, period_s: float) -> Array:
+    """Return the covariance that white noise of the given intensity leaves after one period (Van Loan 1978)."""
+    n = len(a)
+    block = np.zeros((2 * n, 2 * n))
+    block[:n, :n], block[:n, n:], block[n:, n:] = -a, intensity, a.T
+    power = expm(block * period_s)
+    covariance = power[n:, n:].T @ power[:n, n:]
+    return 0.5 * (covariance + covariance.T)
+
+
+def _assemble(
+    a: Array, b: Array, imu: LinearModel, regulated: LinearModel, road: Array, process: Array
+) -> RideModel:
+    """Put measured and regulated outputs, which see the car's states, the road (4, n) and the force, on the model."""
+    rest = np.zeros((1, len(a) - CAR_STATES))
+    c = np.hstack([imu.c, np.repeat(rest, len(imu.c), axis=0)])
+    h = np.hstack([regulated.c, np.repeat(rest, len(regulated.c), axis=0)]) + regulated.d[:, :4] @ road
+    return RideModel(a, b, c, imu.d, h, regulated.d[:, 4:], process)
