@@ -121,6 +121,8 @@ class World:
         )
         noisy = scenario.sensor_noise
         self._imu = Imu(_imu_spec(noisy), random_imu)
+        self._accel: list[float] = []  # of the body: heave, pitch, roll
+        self._spring_n: list[float] = []
         self._felt = (np.zeros(3), np.zeros(3))
         self._field = np.zeros(3)
         self._magnetic_s = 0.0
@@ -305,7 +307,7 @@ class World:
         result = self._matrix.dot(self._z)
         self._state[:] = result[:_STATES]
         now += change
-        outputs = result[_STATES:].tolist()
+        outputs: list[float] = result[_STATES:].tolist()
         self._accel, self._spring_n = outputs[:3], outputs[3:]
 
     def _feel(self, dt_s: float) -> None:
@@ -409,8 +411,7 @@ class World:
         inputs = self._now
         self._state[:] = -np.linalg.solve(self._model.a, self._input_matrix("b") @ inputs)
         outputs = self._output_rows(self._model.c) @ self._state + self._input_matrix("d") @ inputs
-        self._accel: list[float] = [0.0] * 3
-        self._spring_n: list[float] = outputs[3:].tolist()
+        self._accel, self._spring_n = [0.0] * 3, outputs[3:].tolist()
         self._feel(_LONG_S)
 
     def _field_in_body(self) -> Array:

@@ -1,0 +1,338 @@
+r"""An emulated Roboteq HBL2360 motor controller: bytes in, bytes out, a virtual clock, no I/O.
+
+    drive = Roboteq()
+    drive.receive(b"!S 1 120\r")                  # bytes the host has put on the wire now
+    drive.run(1000)                               # 1 ms passes; bytes arrive, answers leave, at 115200 baud
+    drive.transmit()                              # bytes whose stop bit has left since the last call
+    drive.motor_rpm                               # (2,) what the motors are driven to: the world's command
+    drive.feedback(speed_rpm, current_a)          # (2,) each: what ?S and ?A report
+    drive.estop_input = True                      # the contact on its e-stop input
+    drive.reboot()                                # power cycle: only what %EESAV saved survives
+
+Failures to inject: `fault_flags` (?FF bits), `motor_flags[channel]` (?FM bits), `silent` (it says nothing),
+`deaf` (it hears nothing), `noise` (flipped, lost, inserted, doubled bytes on its way out), `say(text)` (a line
+no one asked for). Bytes leave one by one, so whoever reads in between gets a fragment.
+
+Facts from the Advanced Digital Motor Controllers User Manual v1.8, among them the trap every driver must
+defuse: when the watchdog (only "!" commands feed it) has expired, the next valid "!" command on ANY channel
+resumes the speed of BOTH. The manual does not say what `!MG` does to a standing command; here it resumes it,
+the worse case.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from tiger.emulation.cable import LineNoise, NoisyLine
+
+CHANNELS = 2
+BAUD = 115200
+BYTE_NS = 10 * 1_000_000_000 // BAUD
+LINE_LIMIT = 64
+
+FF_EMERGENCY_STOP = 16
+FF_DEFAULT_CONFIG = 128
+FF_STAGE_OFF = 1 | 2 | 4 | 8 | FF_EMERGENCY_STOP | 32 | 64
+"""Fault bits that switch the power stage off: heat, voltage, short, e-stop, motor sensor, MOSFET."""
+FS_SERIAL, FS_STAGE_OFF = 1, 8
+FM_CLEARED_AT_ZERO = 2 | 4 | 8
+"""Stalled, loop error, safety stop: gone once the command is back at zero."""
+
+FIRMWARE_ID = "Roboteq v1.8 HBL2360 08/28/2017"
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One configuration item (`^NAME`, `~NAME`), per channel or for the whole unit."""
+
+    default: int
+    least: int
+    most: int
+    per_channel: bool = False
+
+
+SETTINGS = {
+    "RWD": Setting(1000, 0, 65000),  # watchdog, ms; 0 disables
+    "ECHOF": Setting(0, 0, 1),  # 1: no echo
+    "MXRPM": Setting(1000, 10, 65000, per_channel=True),  # rpm at !G 1000
+    "MAC": Setting(20000, 0, 500000, per_channel=True),  # acceleration, 0.1 rpm/s
+    "MDEC": Setting(20000, 0, 500000, per_channel=True),  # deceleration, 0.1 rpm/s
+}
+
+
+_INTEGER = re.compile(r"[+-]?[0-9]{1,9}")
+
+
+class Refused(Exception):
+    """A line the controller answers with "-"."""
+
+
+class Roboteq:
+    """See the top of this file."""
+
+    def __init__(self, *, battery_v: float = 24.0, noise: LineNoise | None = None, seed: int = 0) -> None:
+        self.battery_v = battery_v
+        self.estop_input = False
+        self.fault_flags = 0
+        self.motor_flags = [0] * CHANNELS
+        self.silent = False
+        self.deaf = False
+        self._line_out = NoisyLine(noise or LineNoise(), seed)
+        self._saved = {name: [s.default] * (CHANNELS if s.per_channel else 1) for name, s in SETTINGS.items()}
+        self._now_ns = 0
+        self._speed_rpm = [0.0] * CHANNELS
+        self._current_a = [0.0] * CHANNELS
+        self.reboot()
+
+    def reboot(self) -> None:
+        """Switch off and on: commands, buffers and unsaved settings are lost."""
+        self._settings = {name: list(values) for name, values in self._saved.items()}
+        self._command_rpm = [0.0] * CHANNELS
+        self._motor_rpm = [0.0] * CHANNELS
+        self._watchdog_due_ns: int | None = None
+        self._watchdog_expired = False
+        self._emergency = False
+        self._line = bytearray()
+        self._incoming: deque[tuple[int, int]] = deque()  # (time of the stop bit in ns, byte)
+        self._outgoing: deque[tuple[int, int]] = deque()
+        self._last_in_ns = self._last_out_ns = self._now_ns
+
+    # ---- the serial line
+
+    def receive(self, data: bytes) -> None:
+        """Put bytes on the wire to the controller; they arrive at the baud rate."""
+        for byte in b"" if self.deaf else data:
+            self._last_in_ns = max(self._last_in_ns, self._now_ns) + BYTE_NS
+            self._incoming.append((self._last_in_ns, byte))
+
+    def transmit(self) -> bytes:
+        """Take the bytes whose stop bit has left by now."""
+        out = bytearray()
+        while self._outgoing and self._outgoing[0][0] <= self._now_ns:
+            out.append(self._outgoing.popleft()[1])
+        return self._line_out.carry(bytes(out))
+
+    def say(self, text: str) -> None:
+        """Send a line, as an answer or unasked."""
+        self._send(text.encode("ascii") + b"\r")
+
+    def _send(self, data: bytes) -> None:
+        for byte in b"" if self.silent else data:
+            self._last_out_ns = max(self._last_out_ns, self._now_ns) + BYTE_NS
+            self._outgoing.append((self._last_out_ns, byte))
+
+    # ---- time
+
+    def run(self, us: int) -> None:
+        """Let `us` microseconds pass."""
+        end_ns = self._now_ns + us * 1000
+        while self._incoming and self._incoming[0][0] <= end_ns:
+            time_ns, byte = self._incoming.popleft()
+            self._advance(time_ns)
+            self._hear(byte)
+        self._advance(end_ns)
+
+    def _advance(self, to_ns: int) -> None:
+        """Ramp the motors up to a moment, with the watchdog's expiry on the way."""
+        due = self._watchdog_due_ns
+        if due is not None and due <= to_ns:
+            self._ramp(due - self._now_ns)
+            self._now_ns = due
+            self._watchdog_due_ns = None
+            self._watchdog_expired = True
+        self._ramp(to_ns - self._now_ns)
+        self._now_ns = to_ns
+
+    def _ramp(self, span_ns: int) -> None:
+        self._emergency = self._emergency or self.estop_input
+        off = self.stage_off
+        for channel, command in enumerate(self._command_rpm):
+            target = 0.0 if self._watchdog_expired else command
+            speed = self._motor_rpm[channel]
+            if off:
+                self._motor_rpm[channel] = 0.0
+            elif speed != target:
+                slowing = abs(target) < abs(speed) or target * speed < 0.0
+                ramp = self._settings["MDEC" if slowing else "MAC"][channel]
+                change = ramp * 0.1 * span_ns * 1e-9
+                self._motor_rpm[channel] = max(speed - change, min(speed + change, target))
+            if target == 0.0:
+                self.motor_flags[channel] &= ~FM_CLEARED_AT_ZERO
+
+    # ---- the motors
+
+    @property
+    def stage_off(self) -> bool:
+        """The power stage is off: e-stop or a fault."""
+        return bool(self._faults() & FF_STAGE_OFF)
+
+    @property
+    def motor_rpm(self) -> tuple[float, float]:
+        """Speeds the two motors are driven to at this moment."""
+        return self._motor_rpm[0], self._motor_rpm[1]
+
+    @property
+    def watchdog_expired(self) -> bool:
+        """The watchdog holds the motors at zero; the commands still stand behind it."""
+        return self._watchdog_expired
+
+    def feedback(self, speed_rpm: Sequence[float], current_a: Sequence[float]) -> None:
+        """Tell the true motor speeds and the measured currents, (2,) each."""
+        self._speed_rpm = [float(speed) for speed in speed_rpm]
+        self._current_a = [float(current) for current in current_a]
+
+    def _faults(self) -> int:
+        stopped = self._emergency or self.estop_input
+        return self.fault_flags | (FF_EMERGENCY_STOP if stopped else 0)
+
+    # ---- the language
+
+    def _hear(self, byte: int) -> None:
+        printable = 0x20 <= byte <= 0x7E
+        if not self._settings["ECHOF"][0] and (printable or byte == 0x0D):
+            self._send(bytes([byte]))
+        if byte == 0x0A:
+            return
+        if byte != 0x0D:
+            if len(self._line) <= LINE_LIMIT:  # one more marks the overflow
+                self._line.append(byte)
+            return
+        line, self._line = bytes(self._line), bytearray()
+        if not line.strip():
+            return
+        try:
+            self.say(self._obey(line))
+        except Refused:
+            self.say("-")
+
+    def _obey(self, line: bytes) -> str:
+        """Carry out one line and return its answer."""
+        if len(line) > LINE_LIMIT or not line.isascii():
+            raise Refused
+        text = line.decode("ascii").strip()
+        words = text[1:].upper().split()
+        if not words:
+            raise Refused
+        kinds: dict[str, Callable[[str, list[int]], str]] = {
+            "!": self._command,
+            "?": self._query,
+            "^": self._set,
+            "~": self._get,
+            "%": self._maintain,
+        }
+        kind = kinds.get(text[0])
+        if kind is None:
+            raise Refused
+        return kind(words[0], [_integer(word) for word in words[1:]])
+
+    def _command(self, name: str, numbers: list[int]) -> str:
+        if name == "G":
+            channel, power = _channel_and(numbers, most=1000)
+            self._command_rpm[channel] = power / 1000.0 * self._settings["MXRPM"][channel]
+        elif name == "S":
+            channel, rpm = _channel_and(numbers, most=65000)
+            most = self._settings["MXRPM"][channel]
+            self._command_rpm[channel] = float(min(max(rpm, -most), most))
+        elif name == "MS" and len(numbers) == 1:
+            self._command_rpm[_channel(numbers[0])] = 0.0
+        elif name == "EX" and not numbers:
+            self._emergency = True
+        elif name == "MG" and not numbers:
+            self._emergency = self.estop_input
+        else:
+            raise Refused
+        timeout_ms = self._settings["RWD"][0]
+        self._watchdog_expired = False  # and whatever stood before the expiry runs again
+        self._watchdog_due_ns = self._now_ns + timeout_ms * 1_000_000 if timeout_ms else None
+        return "+"
+
+    def _query(self, name: str, numbers: list[int]) -> str:
+        if name == "FID":
+            return f"FID={FIRMWARE_ID}"
+        values = self._measured(name)
+        if not numbers:
+            return f"{name}={':'.join(map(str, values))}"
+        if len(numbers) > 1 or not 1 <= numbers[0] <= len(values):
+            raise Refused
+        return f"{name}={values[numbers[0] - 1]}"
+
+    def _measured(self, name: str) -> list[int]:
+        """Values of a query in the manual's units."""
+        currents = self._current_a
+        if name == "A":  # motor, 0.1 A
+            return [round(10.0 * current) for current in currents]
+        if name == "BA":  # battery, 0.1 A: the stage is a transformer
+            shares = [
+                speed / rpm for speed, rpm in zip(self._speed_rpm, self._settings["MXRPM"], strict=True)
+            ]
+            return [round(10.0 * abs(c * share)) for c, share in zip(currents, shares, strict=True)]
+        if name == "V":  # driver supply and battery, 0.1 V; 5 V output, mV
+            return [120, round(10.0 * self.battery_v), 5000]
+        if name == "S":
+            return [round(speed) for speed in self._speed_rpm]
+        if name == "T":  # logic, two heat sinks
+            return [32, 30, 30]
+        if name == "FF":
+            return [self._faults()]
+        if name == "FS":
+            return [FS_SERIAL | (FS_STAGE_OFF if self.stage_off else 0)]
+        if name == "FM":
+            return list(self.motor_flags)
+        raise Refused
+
+    def _set(self, name: str, numbers: list[int]) -> str:
+        setting = SETTINGS.get(name)
+        if setting is None:
+            raise Refused
+        if setting.per_channel:
+            if len(numbers) != 2:
+                raise Refused
+            index, value = _channel(numbers[0]), numbers[1]
+        else:
+            if len(numbers) != 1:
+                raise Refused
+            index, value = 0, numbers[0]
+        if not setting.least <= value <= setting.most:
+            raise Refused
+        self._settings[name][index] = value
+        if name == "RWD" and value == 0:
+            self._watchdog_due_ns = None
+        return "+"
+
+    def _get(self, name: str, numbers: list[int]) -> str:
+        values = self._settings.get(name)
+        if values is None or len(numbers) > 1:
+            raise Refused
+        if numbers:
+            if not 1 <= numbers[0] <= len(values):
+                raise Refused
+            values = values[numbers[0] - 1 : numbers[0]]
+        return f"{name}={':'.join(map(str, values))}"
+
+    def _maintain(self, name: str, numbers: list[int]) -> str:
+        if name != "EESAV" or numbers:
+            raise Refused
+        self._saved = {key: list(values) for key, values in self._settings.items()}
+        return "+"
+
+
+def _integer(word: str) -> int:
+    if not _INTEGER.fullmatch(word):
+        raise Refused
+    return int(word)
+
+
+def _channel(number: int) -> int:
+    if not 1 <= number <= CHANNELS:
+        raise Refused
+    return number - 1
+
+
+def _channel_and(numbers: list[int], most: int) -> tuple[int, int]:
+    """Take (channel, value); a dual-channel unit wants both."""
+    if len(numbers) != 2 or abs(numbers[1]) > most:
+        raise Refused
+    return _channel(numbers[0]), numbers[1]
