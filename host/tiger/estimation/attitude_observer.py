@@ -21,11 +21,13 @@ import numpy as np
 from tiger.estimation.kalman import steady_state_gain
 from tiger.models.full_car import FORCE, ROAD, STATES, FullCarParameters, full_car
 from tiger.models.linear import LinearModel
+from tiger.record import Estimate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from tiger.config.robot import RobotConfig
+    from tiger.record import Four, ImuSample
 
     Array = NDArray[np.float64]
 
@@ -34,41 +36,11 @@ BIAS = ("gyro_bias_x_radps", "gyro_bias_y_radps")
 MEASURED = ("roll_rad", "pitch_rad", "gyro_x_radps", "gyro_y_radps", "imu_heave_accel_mps2")
 
 _INDEX = {name: i for i, name in enumerate((*STATES, *PLATE, *BIAS))}
+# In the order of the fields of `Estimate`.
 _SHOWN = np.array(
     [_INDEX[n] for n in ("roll_rad", "pitch_rad", "roll_rate_radps", "pitch_rate_radps")]
     + [_INDEX[n] for n in (PLATE[0], PLATE[2], PLATE[1], PLATE[3], *BIAS)]
 )
-
-
-@dataclass(frozen=True, slots=True)
-class ImuSample:
-    """One attitude message of nano_imu on the host's clock. Axes of the robot; acceleration is without gravity."""
-
-    time_s: float
-    quaternion: tuple[float, float, float, float]
-    """w x y z, body to earth (z up)."""
-    rate_radps: tuple[float, float, float]
-    linear_accel_mps2: tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """What the observer knows after a tick. The plate is the ground under the wheels, as a plane."""
-
-    ready: bool
-    """False until the first IMU sample came."""
-    roll_rad: float = 0.0
-    pitch_rad: float = 0.0
-    roll_rate_radps: float = 0.0
-    pitch_rate_radps: float = 0.0
-    plate_roll_rad: float = 0.0
-    plate_pitch_rad: float = 0.0
-    plate_roll_rate_radps: float = 0.0
-    plate_pitch_rate_radps: float = 0.0
-    gyro_bias_x_radps: float = 0.0
-    gyro_bias_y_radps: float = 0.0
-    innovation: tuple[float, ...] = ()
-    """Sample minus prediction of MEASURED; empty in a tick without a usable sample."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,6 +64,8 @@ class ObserverDesign:
     damper_nspm: Array
     nominal: Array
     """Static roll and pitch of the body under unit seat forces (2, 4)."""
+    sigma_rad: float
+    """Standard deviation of roll or pitch, whichever is worse, under the assumed noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,15 +97,16 @@ def design_observer(robot: RobotConfig) -> ObserverDesign:
         + [math.radians(noise.rate_noise_degps)] * 2
         + [noise.acceleration_noise_mps2]
     )
-    gain = steady_state_gain(between, sampled.c, total, np.diag(sigma**2)).gain
+    filtered = steady_state_gain(between, sampled.c, total, np.diag(sigma**2))
 
     history = round(noise.history_ms / 1000.0 / period)
-    corrections, carried = [], [gain]
+    corrections, carried = [], [filtered.gain]
     for _ in range(history):
         later_predictions = [sampled.c @ correction for correction in reversed(carried[1:])]
         corrections.append(np.vstack([carried[-1], *later_predictions]))
         carried.append(transition @ carried[-1])
 
+    attitude = [_INDEX["roll_rad"], _INDEX["pitch_rad"]]
     settled = -np.linalg.solve(model.a[:14, :14], np.hstack([model.a[:14, [14, 16]], model.b[:14, :4]]))
     at_rest = np.zeros((len(_INDEX), 6))
     at_rest[:14], at_rest[14, 0], at_rest[16, 1] = settled, 1.0, 1.0
@@ -145,7 +120,8 @@ def design_observer(robot: RobotConfig) -> ObserverDesign:
         at_rest=at_rest,
         spring_npm=parameters.spring_npm(),
         damper_nspm=parameters.damper_nspm(),
-        nominal=settled[[_INDEX["roll_rad"], _INDEX["pitch_rad"]], 2:],
+        nominal=settled[attitude, 2:],
+        sigma_rad=float(np.sqrt(np.diag(filtered.posterior)[attitude].max())),
     )
 
 
@@ -186,7 +162,25 @@ def step(
             if ticks:
                 predicted[:ticks] += correction[n:].reshape(ticks, -1)
             innovation = tuple(difference.tolist())
-    return ObserverState(x, predicted, ready=True), Estimate(True, *x[_SHOWN].tolist(), innovation)
+    return ObserverState(x, predicted, ready=True), _estimate(design, x, innovation)
+
+
+def _estimate(design: ObserverDesign, x: Array, innovation: tuple[float, ...] = ()) -> Estimate:
+    roll, pitch, roll_rate, pitch_rate, *plate, bias_x, bias_y = x[_SHOWN].tolist()
+    return Estimate(
+        ready=True,
+        roll_rad=roll,
+        pitch_rad=pitch,
+        roll_rate_radps=roll_rate,
+        pitch_rate_radps=pitch_rate,
+        plate_roll_rad=plate[0],
+        plate_pitch_rad=plate[1],
+        plate_roll_rate_radps=plate[2],
+        plate_pitch_rate_radps=plate[3],
+        sigma_rad=design.sigma_rad,
+        gyro_bias_radps=(bias_x, bias_y),
+        innovation=innovation,
+    )
 
 
 def _first(
@@ -199,10 +193,10 @@ def _first(
     x = design.at_rest @ np.concatenate([plate, force])
     output = design.output @ x + design.feedthrough @ force
     predicted = np.tile(output, (len(state.predicted), 1))
-    return ObserverState(x, predicted, ready=True), Estimate(True, *x[_SHOWN].tolist())
+    return ObserverState(x, predicted, ready=True), _estimate(design, x)
 
 
-def attitude_rad(quaternion: tuple[float, float, float, float]) -> tuple[float, float]:
+def attitude_rad(quaternion: Four) -> tuple[float, float]:
     """Return roll and pitch (Z-Y-X angles) of a unit quaternion w x y z, body to earth."""
     w, x, y, z = quaternion
     roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))

@@ -1,0 +1,256 @@
+"""Suspension control of the real TIGER: the body's attitude and ride height by stroke rates.
+
+The regime is quasi-static. The body follows its four seats within a tenth of a second while a move takes seconds, so
+the law acts on the pose of the seats (`reachable.Pose`), whose only dynamics are those of the actuators: an
+integrator behind a lag. Three parts, each a function below:
+
+1. a target in stroke space: the pose that gives the wanted attitude on the present ground, nearest to it if the
+   strokes do not reach so far;
+2. feedback: an LQR for small errors that saturates for large ones, with the ground's turning rate fed forward; on an
+   integrator that is time-optimal but for the last tenth of a second;
+3. allocation: the rates of the four corners, with every actuator within its limits. Attitude goes first and keeps its
+   direction; ride height gives way, so that the actuator with the least lift per stroke does not slow the others down
+   and a corner at its end leaves its work to the other three.
+
+A move begins when the error leaves the dead zone and ends near zero error, not at the edge of the zone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import expm
+
+from tiger.control.lqr import dlqr
+from tiger.control.reachable import WARP, Pose, Suspension
+from tiger.record import STILL
+
+if TYPE_CHECKING:
+    from tiger.config.robot import LevelingConfig, RobotConfig
+    from tiger.record import Four
+
+_NEAR_LIMIT_MM = 0.5
+_STILL_SMOOTHING_S = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Pose of the body relative to its wheels that is wanted now, and how fast it turns."""
+
+    pose: Pose
+    roll_rate_radps: float = 0.0
+    pitch_rate_radps: float = 0.0
+    unreachable: bool = False
+    """The strokes do not reach what was asked for; `pose` is the nearest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LevelingDesign:
+    """What `design_leveling` computes once."""
+
+    config: LevelingConfig
+    suspension: Suspension
+    ride_mm: float
+    """Lift of the default ride height."""
+    error_gain_per_s: float
+    rate_gain: float
+    lag_s: float
+    wake_moving_rad: float
+    wake_still_rad: float
+    settle_rad: float
+    still_radps: float
+
+
+@dataclass(frozen=True, slots=True)
+class LevelingState:
+    """Last commands, the rates the actuators should have by now, and where in a move we are."""
+
+    command_mmps: Four = STILL
+    rate_mmps: Four = STILL
+    moving: bool = False
+    quiet_s: float = 0.0
+    """How long the error has been small and the ground still."""
+    turning_radps: tuple[float, float] = (0.0, 0.0)
+    """Smoothed roll and pitch rate of the target."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leveling:
+    """What one step decided."""
+
+    command_mmps: Four
+    error_rad: tuple[float, float]
+    """Roll and pitch left to the target."""
+    settled: bool
+    at_limit: tuple[bool, bool, bool, bool]
+
+
+def design_leveling(robot: RobotConfig) -> LevelingDesign:
+    """Design the gains: minimise (error / angle_weight)^2 + (rate command / rate_weight)^2 over integrator and lag.
+
+    The delay to the board counts as lag. Raises MechanismError for a vehicle without a mechanism.
+    """
+    config, dt = robot.leveling, robot.loop.period_s
+    suspension = Suspension.from_config(robot)
+    lag = max(robot.actuator.lag_s + config.setpoint_delay_s, dt)
+    # States: error left, rate of the actuators. Input: rate command.
+    flow = np.array([[0.0, -1.0, 0.0], [0.0, -1.0 / lag, 1.0 / lag], [0.0, 0.0, 0.0]])
+    power = expm(flow * dt)
+    ratio = (config.rate_weight_degps / config.angle_weight_deg) ** 2
+    gain = dlqr(power[:2, :2], power[:2, 2:], np.diag([ratio, 0.0]), np.eye(1)).gain[0]
+    return LevelingDesign(
+        config=config,
+        suspension=suspension,
+        ride_mm=suspension.curve.at(config.ride_stroke_mm)[0],
+        error_gain_per_s=float(-gain[0]),
+        rate_gain=float(gain[1]),
+        lag_s=lag,
+        wake_moving_rad=math.radians(config.dead_zone_deg),
+        wake_still_rad=math.radians(config.wake_deg),
+        settle_rad=math.radians(config.settle_deg),
+        still_radps=math.radians(config.still_degps),
+    )
+
+
+def step(
+    design: LevelingDesign, state: LevelingState, target: Target | None, stroke_mm: Four, dt: float
+) -> tuple[LevelingState, Leveling]:
+    """Advance by `dt`: the stroke rates that bring the body to the target, or to a stop without one."""
+    suspension, at = design.suspension, design.suspension.curve.at
+    lift, ratio = zip(*(at(s) for s in stroke_mm), strict=True)
+    rate = _lagged(design, state, dt)
+    at_limit = _at_limit(suspension, stroke_mm)
+    if target is None:
+        command = _slewed(design, state.command_mmps, STILL, dt)
+        return LevelingState(command, rate), Leveling(command, (0.0, 0.0), False, at_limit)
+
+    present = suspension.pose(lift)
+    error = (target.pose.roll_rad - present.roll_rad, target.pose.pitch_rad - present.pitch_rad)
+    ride_error = target.pose.ride_mm - present.ride_mm
+    moving, quiet_s, turning = _phase(design, state, target, error, ride_error, dt)
+    if moving:
+        speed = suspension.pose(tuple(m * v for m, v in zip(ratio, rate, strict=True)))
+        wanted = _feedback(design, target, error, ride_error, present.warp_mm, speed)
+        limits = _rate_limits(design, stroke_mm, rate)
+        goal = _allocate(suspension, wanted, ratio, limits)
+    else:
+        goal = STILL
+    command = _slewed(design, state.command_mmps, goal, dt)
+    new = LevelingState(command, rate, moving, quiet_s, turning)
+    settled = not moving and command == STILL
+    return new, Leveling(command, error, settled, at_limit)
+
+
+def _phase(
+    design: LevelingDesign,
+    state: LevelingState,
+    target: Target,
+    error: tuple[float, float],
+    ride_error_mm: float,
+    dt: float,
+) -> tuple[bool, float, tuple[float, float]]:
+    """Decide whether to move: hysteresis between leaving the dead zone and arriving near zero on still ground."""
+    config = design.config
+    keep = math.exp(-dt / _STILL_SMOOTHING_S)
+    turning = (
+        keep * state.turning_radps[0] + (1.0 - keep) * target.roll_rate_radps,
+        keep * state.turning_radps[1] + (1.0 - keep) * target.pitch_rate_radps,
+    )
+    still = max(abs(turning[0]), abs(turning[1])) < design.still_radps
+    worst = max(abs(error[0]), abs(error[1]))
+    if not state.moving:
+        wake = design.wake_still_rad if still else design.wake_moving_rad
+        return worst > wake or abs(ride_error_mm) > config.ride_wake_mm, 0.0, turning
+    arrived = worst < design.settle_rad and abs(ride_error_mm) < config.ride_settle_mm
+    quiet_s = state.quiet_s + dt if still and arrived else 0.0
+    return quiet_s < config.still_time_s, quiet_s, turning
+
+
+def _feedback(
+    design: LevelingDesign,
+    target: Target,
+    error: tuple[float, float],
+    ride_error_mm: float,
+    warp_mm: float,
+    speed: Pose,
+) -> Pose:
+    """Rates of roll, pitch, ride and warp that are wanted before any limit, as a pose per second.
+
+    The target may turn: the LQR acts on the rate relative to it, and the turning itself is added.
+    """
+    k, d = design.error_gain_per_s, design.rate_gain
+    roll_rate, pitch_rate = target.roll_rate_radps, target.pitch_rate_radps
+    return Pose(
+        roll_rad=roll_rate + k * error[0] - d * (speed.roll_rad - roll_rate),
+        pitch_rad=pitch_rate + k * error[1] - d * (speed.pitch_rad - pitch_rate),
+        ride_mm=k * ride_error_mm - d * speed.ride_mm,
+        warp_mm=-design.config.warp_rate_per_s * warp_mm,
+    )
+
+
+def _allocate(
+    suspension: Suspension, wanted: Pose, ratio: Four, limits: tuple[tuple[float, float], ...]
+) -> Four:
+    """Turn wanted pose rates into four stroke rates within (lowest, highest) mm/s each; 0 lies within each.
+
+    Corner i lifts at (ride + k d_i) with d_i the share of roll, pitch and warp. k <= 1 is the largest scale for which
+    a common ride rate keeps all corners within their limits: for every pair, k (d_j - d_i) <= high_j - low_i. Then the
+    ride rate is the wanted one clipped to what the corners leave.
+    """
+    tilt = suspension.lifts_mm(Pose(wanted.roll_rad, wanted.pitch_rad, 0.0, wanted.warp_mm))
+    low = [m * lo for m, (lo, _) in zip(ratio, limits, strict=True)]
+    high = [m * hi for m, (_, hi) in zip(ratio, limits, strict=True)]
+    scale = 1.0
+    for d_i, low_i in zip(tilt, low, strict=True):
+        for d_j, high_j in zip(tilt, high, strict=True):
+            room = high_j - low_i
+            if scale * (d_j - d_i) > room:
+                scale = room / (d_j - d_i)
+    lowest = max(lo - scale * d for lo, d in zip(low, tilt, strict=True))
+    highest = min(hi - scale * d for hi, d in zip(high, tilt, strict=True))
+    ride = max(lowest, min(highest, wanted.ride_mm))
+    fl, fr, rl, rr = ((ride + scale * d) / m for d, m in zip(tilt, ratio, strict=True))
+    return fl, fr, rl, rr
+
+
+def _rate_limits(
+    design: LevelingDesign, stroke_mm: Four, rate_mmps: Four
+) -> tuple[tuple[float, float], ...]:
+    """Rates each actuator may have: its speed, less where it must brake before the end of the stroke in use."""
+    suspension, brake = design.suspension, design.config.stroke_brake_per_s
+    limits = []
+    for stroke, rate in zip(stroke_mm, rate_mmps, strict=True):
+        ahead = stroke + design.lag_s * rate
+        down = min(suspension.rate_mmps, max(0.0, brake * (ahead - suspension.stroke_low_mm)))
+        up = min(suspension.rate_mmps, max(0.0, brake * (suspension.stroke_high_mm - ahead)))
+        limits.append((-down, up))
+    return tuple(limits)
+
+
+def _slewed(design: LevelingDesign, last: Four, goal: Four, dt: float) -> Four:
+    """Go from the last command towards the goal within the acceleration limit, in a straight line."""
+    change = max(abs(g - c) for g, c in zip(goal, last, strict=True))
+    most = design.config.acceleration_mmps2 * dt
+    if change <= most:
+        return goal
+    share = most / change
+    fl, fr, rl, rr = (c + share * (g - c) for g, c in zip(goal, last, strict=True))
+    return fl, fr, rl, rr
+
+
+def _lagged(design: LevelingDesign, state: LevelingState, dt: float) -> Four:
+    """Rates that the actuators should have by now, from the commands: free of the potentiometers' noise."""
+    keep = math.exp(-dt / design.lag_s)
+    fl, fr, rl, rr = (
+        keep * v + (1.0 - keep) * u for v, u in zip(state.rate_mmps, state.command_mmps, strict=True)
+    )
+    return fl, fr, rl, rr
+
+
+def _at_limit(suspension: Suspension, stroke_mm: Four) -> tuple[bool, bool, bool, bool]:
+    low, high = suspension.stroke_low_mm + _NEAR_LIMIT_MM, suspension.stroke_high_mm - _NEAR_LIMIT_MM
+    fl, fr, rl, rr = (stroke < low or stroke > high for stroke in stroke_mm)
+    return fl, fr, rl, rr

@@ -1,0 +1,142 @@
+"""From forward speed and yaw rate to four wheel speeds, on the track that the mechanism has now.
+
+Skid steering: the wheel at y_i (left +) runs at v - yaw_rate y_i. The track changes with the strokes (1.20-1.27 m over
+70 mm), and the four contacts scrub, so that the geometric half-tracks are multiplied by one effective-track factor
+(measured by `tiger calibrate wheels`); what that misses, an integral of the gyro's yaw rate makes up for.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tiger.models.eam import Eam
+from tiger.record import STILL
+
+if TYPE_CHECKING:
+    from tiger.config.robot import DriveControlConfig, RobotConfig
+    from tiger.record import Command, Four, Inputs
+
+_SIDE: Four = (1.0, -1.0, 1.0, -1.0)  # left +
+_TRACK_POINTS = 29
+_RPM_PER_RADPS = 30.0 / math.pi
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveDesign:
+    """What `design_drive` computes once."""
+
+    config: DriveControlConfig
+    half_track_m: tuple[float, ...]
+    """Half the track at equal steps of the stroke from 0 to `stroke_max_mm`."""
+    stroke_max_mm: float
+    rpm_per_mps: float
+    rpm_max: float
+
+
+@dataclass(frozen=True, slots=True)
+class Ramp:
+    """A value on its way to a setpoint, and its rate of change."""
+
+    value: float = 0.0
+    rate: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class DriveState:
+    """Speeds commanded now, and what the yaw-rate loop has added to the yaw rate."""
+
+    speed_mps: Ramp = Ramp()
+    yaw_rate_radps: Ramp = Ramp()
+    yaw_trim_radps: float = 0.0
+
+
+def design_drive(robot: RobotConfig) -> DriveDesign:
+    """Tabulate the track over the stroke; wheel speeds stay below both the motor's and the safety limit."""
+    config, vehicle = robot.drive, robot.vehicle
+    stroke_max = robot.actuator.stroke_max_mm
+    track_mm = Eam.from_vehicle(vehicle).pose(np.linspace(0.0, stroke_max, _TRACK_POINTS)).track_mm
+    radius_m = vehicle.tire.rolling_radius_m * config.wheel_radius_factor
+    motor_rpm = vehicle.drive.max_wheel_speed_rpm if vehicle.drive is not None else 0.0
+    return DriveDesign(
+        config=config,
+        half_track_m=tuple((track_mm / 2000.0).tolist()),
+        stroke_max_mm=stroke_max,
+        rpm_per_mps=_RPM_PER_RADPS / radius_m,
+        rpm_max=min(motor_rpm, 0.95 * robot.safety.max_wheel_speed_rpm),
+    )
+
+
+def step(
+    design: DriveDesign, state: DriveState, command: Command, inputs: Inputs, dt: float
+) -> tuple[DriveState, Four]:
+    """Advance by `dt` and return the wheel speeds in rpm, forward positive."""
+    config = design.config
+    if not config.enabled:
+        return DriveState(), STILL
+    top, top_yaw = config.max_speed_mps, math.radians(config.max_yaw_rate_degps)
+    yaw_acceleration = math.radians(config.yaw_acceleration_degps2)
+    wanted = min(top, max(-top, command.speed_mps))
+    wanted_yaw = min(top_yaw, max(-top_yaw, command.yaw_rate_radps))
+    speed = ramp(state.speed_mps, wanted, config.acceleration_mps2, config.jerk_mps3, dt)
+    yaw = ramp(
+        state.yaw_rate_radps,
+        wanted_yaw,
+        yaw_acceleration,
+        yaw_acceleration * config.jerk_mps3 / config.acceleration_mps2,
+        dt,
+    )
+    trim = _yaw_trim(config, state.yaw_trim_radps, speed.value, yaw.value, inputs, dt)
+    stroke_mm = inputs.strokes.stroke_mm if inputs.strokes is not None else STILL
+    wheel_rpm = wheel_speeds_rpm(design, speed.value, yaw.value + trim, stroke_mm)
+    return DriveState(speed, yaw, trim), wheel_rpm
+
+
+def wheel_speeds_rpm(design: DriveDesign, speed_mps: float, yaw_rate_radps: float, stroke_mm: Four) -> Four:
+    """Return wheel speeds for a motion at given strokes; beyond the limit all are scaled, the curvature stays."""
+    factor = design.config.effective_track_factor
+    wheels = [
+        design.rpm_per_mps * (speed_mps - yaw_rate_radps * side * factor * half_track_m(design, stroke))
+        for side, stroke in zip(_SIDE, stroke_mm, strict=True)
+    ]
+    fastest = max(abs(rpm) for rpm in wheels)
+    scale = 1.0 if fastest <= design.rpm_max else design.rpm_max / fastest
+    fl, fr, rl, rr = (scale * rpm for rpm in wheels)
+    return fl, fr, rl, rr
+
+
+def half_track_m(design: DriveDesign, stroke_mm: float) -> float:
+    """Distance of a wheel's mid-plane from the vehicle's, at a stroke."""
+    last = len(design.half_track_m) - 1
+    place = min(max(stroke_mm / design.stroke_max_mm, 0.0), 1.0) * last
+    index = min(int(place), last - 1)
+    low, high = design.half_track_m[index : index + 2]
+    return low + (place - index) * (high - low)
+
+
+def ramp(now: Ramp, wanted: float, acceleration: float, jerk: float, dt: float) -> Ramp:
+    """Bring a value to `wanted` with limited first and second derivative, without overshoot."""
+    left = wanted - now.value
+    # The rate from which it can still be brought to zero, at this jerk, within what is left.
+    braking = math.sqrt(2.0 * jerk * abs(left))
+    goal = math.copysign(min(acceleration, braking), left)
+    change = min(jerk * dt, max(-jerk * dt, goal - now.rate))
+    rate = now.rate + change
+    value = now.value + rate * dt
+    if (wanted - value) * left <= 0.0 and abs(rate) <= 2.0 * jerk * dt + abs(left) / dt * 0.0:
+        return Ramp(wanted, 0.0)
+    return Ramp(value, rate)
+
+
+def _yaw_trim(
+    config: DriveControlConfig, trim: float, speed: float, yaw_rate: float, inputs: Inputs, dt: float
+) -> float:
+    """Integrate what the gyro misses of the yaw rate; forget it at a standstill."""
+    if inputs.imu is None or (speed == 0.0 and yaw_rate == 0.0):
+        return 0.0
+    most = math.radians(config.yaw_rate_trim_max_degps)
+    missing = yaw_rate - inputs.imu.rate_radps[2]
+    return min(most, max(-most, trim + config.yaw_rate_gain_per_s * missing * dt))

@@ -1,0 +1,174 @@
+"""The controller: what one tick of the robot computes, as a pure function.
+
+    design = design_controller(robot)
+    state = initial_state(design)
+    state, outputs = step(design, state, inputs, dt)
+
+No clock, no ports, no globals. Observer, suspension and drive are three modules; this file connects them and holds
+the table of modes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tiger.control import attitude, drive
+from tiger.control.attitude import LevelingDesign, LevelingState, Target
+from tiger.control.drive import DriveDesign, DriveState
+from tiger.control.reachable import Pose
+from tiger.estimation import attitude_observer as observer
+from tiger.estimation.attitude_observer import ObserverDesign, ObserverState
+from tiger.record import STILL, Command, Estimate, Inputs, Mode, Outputs
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tiger.config.robot import RobotConfig
+    from tiger.record import StrokeSample
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControllerDesign:
+    """Gains and geometry, computed once."""
+
+    robot: RobotConfig
+    observer: ObserverDesign
+    leveling: LevelingDesign
+    drive: DriveDesign
+    max_angle_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControllerState:
+    """What a tick leaves to the next."""
+
+    observer: ObserverState
+    leveling: LevelingState = LevelingState()
+    drive: DriveState = DriveState()
+    imu_t_s: float = -math.inf
+    """Time of the IMU sample last used."""
+
+
+def design_controller(robot: RobotConfig) -> ControllerDesign:
+    """Design everything for a checked configuration. Raises ValueError naming what cannot be designed."""
+    return ControllerDesign(
+        robot=robot,
+        observer=observer.design_observer(robot),
+        leveling=attitude.design_leveling(robot),
+        drive=drive.design_drive(robot),
+        max_angle_rad=math.radians(robot.leveling.max_angle_deg),
+    )
+
+
+def initial_state(design: ControllerDesign) -> ControllerState:
+    """Return the state before the first tick."""
+    return ControllerState(observer.initial_state(design.observer))
+
+
+def step(
+    design: ControllerDesign, state: ControllerState, inputs: Inputs, dt: float
+) -> tuple[ControllerState, Outputs]:
+    """Advance by `dt` seconds. Commands are zero unless armed, with strokes and an estimate to act on."""
+    observed, estimate = _observe(design, state, inputs)
+    imu_t_s = state.imu_t_s if inputs.imu is None else inputs.imu.t_s
+    strokes, command = inputs.strokes, inputs.command
+    if not inputs.armed or strokes is None or not estimate.ready:
+        return ControllerState(observed, imu_t_s=imu_t_s), Outputs(estimate=estimate, reason="not armed")
+
+    target, reason = _target(design, command, estimate, strokes)
+    leveling, levelled = attitude.step(design.leveling, state.leveling, target, strokes.stroke_mm, dt)
+    driving, wheel_rpm = drive.step(design.drive, state.drive, command, inputs, dt)
+    unreachable = target is not None and target.unreachable
+    outputs = Outputs(
+        stroke_rate_mmps=levelled.command_mmps,
+        wheel_rpm=wheel_rpm,
+        estimate=estimate,
+        reason=reason,
+        error_rad=levelled.error_rad,
+        settled=levelled.settled,
+        unreachable=unreachable,
+        at_limit=levelled.at_limit,
+    )
+    return ControllerState(observed, leveling, driving, imu_t_s), outputs
+
+
+def _observe(
+    design: ControllerDesign, state: ControllerState, inputs: Inputs
+) -> tuple[ObserverState, Estimate]:
+    strokes, imu = inputs.strokes, inputs.imu
+    if strokes is None:
+        return state.observer, Estimate()
+    at = design.leveling.suspension.curve.at
+    lift, ratio = zip(*(at(s) for s in strokes.stroke_mm), strict=True)
+    lift_m = np.array(lift) * 0.001
+    lift_rate_mps = np.array(ratio) * np.array(strokes.rate_mmps) * 0.001
+    sample = imu if imu is not None and imu.t_s > state.imu_t_s else None
+    age_s = 0.0 if sample is None else inputs.now_s - sample.t_s
+    return observer.step(design.observer, state.observer, lift_m, lift_rate_mps, sample, age_s)
+
+
+# ---- modes --------------------------------------------------
+
+
+def _target(
+    design: ControllerDesign, command: Command, estimate: Estimate, strokes: StrokeSample
+) -> tuple[Target | None, str]:
+    """Return the target of the command's mode, None to stand still, and what to tell the user."""
+    return _MODES[command.mode](design, command, estimate), str(command.mode)
+
+
+def _hold(design: ControllerDesign, command: Command, estimate: Estimate) -> Target | None:
+    return None
+
+
+def _level(design: ControllerDesign, command: Command, estimate: Estimate) -> Target | None:
+    """Roll and pitch against gravity: what the ground does not give, the strokes must."""
+    return _posed(
+        design,
+        command,
+        command.roll_rad - estimate.plate_roll_rad,
+        command.pitch_rad - estimate.plate_pitch_rad,
+        (-estimate.plate_roll_rate_radps, -estimate.plate_pitch_rate_radps),
+    )
+
+
+def _pose(design: ControllerDesign, command: Command, estimate: Estimate) -> Target | None:
+    """Roll, pitch and ride height against the wheels."""
+    return _posed(design, command, command.roll_rad, command.pitch_rad)
+
+
+def _stow(design: ControllerDesign, command: Command, estimate: Estimate) -> Target | None:
+    """All four strokes at the low end of the range in use."""
+    return Target(Pose(0.0, 0.0, design.leveling.suspension.lift_low_mm))
+
+
+def _posed(
+    design: ControllerDesign,
+    command: Command,
+    roll_rad: float,
+    pitch_rad: float,
+    turning_radps: tuple[float, float] = (0.0, 0.0),
+) -> Target:
+    """Target at the nearest reachable attitude, with the wanted ride height as far as the attitude leaves it."""
+    suspension = design.leveling.suspension
+    roll, pitch = suspension.nearest(roll_rad, pitch_rad)
+    unreachable = abs(roll - roll_rad) + abs(pitch - pitch_rad) > 1e-9
+    lowest, highest = suspension.ride_range_mm(roll, pitch)
+    wanted = design.leveling.ride_mm
+    if command.ride_stroke_mm is not None:
+        wanted = suspension.curve.at(command.ride_stroke_mm)[0]
+    if unreachable:
+        turning_radps = (0.0, 0.0)
+    return Target(Pose(roll, pitch, min(max(wanted, lowest), highest)), *turning_radps, unreachable)
+
+
+_MODES: dict[Mode, Callable[[ControllerDesign, Command, Estimate], Target | None]] = {
+    Mode.HOLD: _hold,
+    Mode.LEVEL: _level,
+    Mode.POSE: _pose,
+    Mode.STOW: _stow,
+}
