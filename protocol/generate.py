@@ -33,8 +33,15 @@ COBS_CYCLES_PER_BYTE = 13
 CYCLES_PER_FRAME = 100
 CPU_HZ = 16_000_000
 
-C_TYPES = {"u8": "uint8_t", "i8": "int8_t", "u16": "uint16_t", "i16": "int16_t", "u32": "uint32_t", "i32": "int32_t"}
-C_TYPES["char"] = "char"
+C_TYPES = {
+    "u8": "uint8_t",
+    "i8": "int8_t",
+    "u16": "uint16_t",
+    "i16": "int16_t",
+    "u32": "uint32_t",
+    "i32": "int32_t",
+    "char": "char",
+}
 
 
 def camel(name: str) -> str:
@@ -183,21 +190,20 @@ def safe(field: Field) -> str:
 
 def by_node_offset(messages: tuple[Message, ...]) -> list[tuple[int, list[Message]]]:
     offsets = sorted({message.node_offset for message in messages if message.node_offset is not None})
-    return [(offset, [message for message in messages if message.node_offset == offset]) for offset in offsets]
+    return [(offset, [m for m in messages if m.node_offset == offset]) for offset in offsets]
 
 
 def cpu_ledger(spec: Spec) -> dict[str, Any]:
     """What framing costs each board."""
-    by_board: dict[str, list[Message]] = {
-        board.name: [message for message in spec.of_board(board.name)] for board in spec.boards
-    }
+    by_board = {board.name: list(spec.of_board(board.name)) for board in spec.boards}
     by_board["mega_suspension"] += by_board["nano_imu"]
     rows = []
     for board, messages in by_board.items():
         frames = sum(message.rate_hz for message in messages)
         size = sum(message.rate_hz * message.frame_bytes for message in messages)
         cycles = size * (CRC_CYCLES_PER_BYTE + COBS_CYCLES_PER_BYTE) + frames * CYCLES_PER_FRAME
-        rows.append({"board": board, "frames": frames, "bytes": size, "cycles": cycles, "share": cycles / CPU_HZ})
+        share = cycles / CPU_HZ
+        rows.append({"board": board, "frames": frames, "bytes": size, "cycles": cycles, "share": share})
     return {"crc": CRC_CYCLES_PER_BYTE, "cobs": COBS_CYCLES_PER_BYTE, "frame": CYCLES_PER_FRAME, "rows": rows}
 
 
@@ -280,12 +286,13 @@ def render(spec: Spec) -> dict[Path, str]:
         keep_trailing_newline=True,
         undefined=jinja2.StrictUndefined,
     )
-    filters = (camel, number, c_type, c_declaration, c_float, c_outside, py_string, py_float, py_int, py_type, py_pack)
-    filters += (py_limits, py_guard, py_unpack, unit_note, limit, safe, by_node_offset)
+    filters = (camel, number, c_type, c_declaration, c_float, c_outside)
+    filters += (py_string, py_float, py_int, py_type, py_pack, py_limits, py_guard, py_unpack)
+    filters += (unit_note, limit, safe, by_node_offset)
     environment.filters.update({function.__name__: function for function in filters})
     environment.filters["percent"] = lambda share: f"{float(share):.1%}"
     environment.filters["scaled"] = lambda counts, scale: number(counts * scale)
-    plain = {field.name for message in spec.messages for field in message.fields if field.unit not in spec.units}
+    plain = {field.name for m in spec.messages for field in m.fields if field.unit not in spec.units}
     context = {"spec": spec, "cpu": cpu_ledger(spec), "overhead": FRAME_OVERHEAD_BYTES, "plain": plain}
     outputs = {path: environment.get_template(name).render(context) for name, path in OUTPUTS.items()}
     outputs[VECTORS] = json.dumps(vectors(spec), indent=1) + "\n"
@@ -295,7 +302,7 @@ def render(spec: Spec) -> dict[Path, str]:
 def main() -> int:
     """Entry point; returns the exit status."""
     parser = argparse.ArgumentParser(description="Write both sides of the wire from tiger.toml.")
-    parser.add_argument("--check", action="store_true", help="write nothing; fail when a file is not up to date")
+    parser.add_argument("--check", action="store_true", help="write nothing; fail when a file is stale")
     check = parser.parse_args().check
     try:
         outputs = render(load(HERE / "tiger.toml"))

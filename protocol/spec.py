@@ -90,7 +90,8 @@ class Field:
     low: int  # smallest and largest counts a receiver accepts
     high: int
     safe: int | str | None  # counts, one of SAFE_WORDS, or nothing
-    enum: str | None
+    enum: str | None  # names the values
+    index: str | None  # names the places of an array
     doc: str
 
     @property
@@ -230,7 +231,7 @@ class Spec:
 
     def loads(self, link: Link, sender: str) -> list[Load]:
         """Every message on one direction of a link, once for each board that speaks it."""
-        return [Load(link, board, message) for board in link.boards for message in self.of_board(board, sender)]
+        return [Load(link, board, m) for board in link.boards for m in self.of_board(board, sender)]
 
     def share(self, link: Link, sender: str) -> Fraction:
         """Part of one direction of `link` that its messages take at their rates."""
@@ -238,14 +239,13 @@ class Spec:
 
     @cached_property
     def schema_hashes(self) -> dict[str, int]:
-        """The schema hash of each board: the first four bytes, little-endian, of SHA-256 over its canonical JSON."""
+        """The schema hash of each board: the first four bytes of SHA-256 over its canonical JSON."""
         return {board.name: _schema_hash(self, board) for board in self.boards}
 
 
 def _schema_hash(spec: Spec, board: Board) -> int:
     messages = spec.of_board(board.name)
-    used = {field.enum for message in spec.messages for field in message.fields}
-    mine = {field.enum for message in messages for field in message.fields}
+    mine = {name for message in messages for field in message.fields for name in (field.enum, field.index)}
     described = {
         "proto": spec.proto,
         "max_payload_bytes": spec.max_payload_bytes,
@@ -254,17 +254,19 @@ def _schema_hash(spec: Spec, board: Board) -> int:
             [
                 *(m.name, m.id, m.sender, m.delivery, m.actuator, m.frozen),
                 [
-                    [f.name, f.type, f.count, f.is_array, str(f.scale), f.low, f.high, f.safe, f.enum]
+                    [
+                        *(f.name, f.type, f.count, f.is_array, str(f.scale), f.low, f.high),
+                        *(f.safe, f.enum, f.index),
+                    ]
                     for f in m.fields
                 ],
             ]
             for m in messages
         ],
-        # An enum that no field names (reject_cause) gives meaning to messages of every board.
         "enums": [
             [enum.name, [[member.name, member.value] for member in enum.members]]
             for enum in spec.enums
-            if enum.name in mine or enum.name not in used
+            if enum.name in mine
         ],
         "faults": [[f.name, f.code, f.permanence] for f in spec.faults if board.name in f.boards],
         "params": [[p.name, p.index, p.count, str(p.scale), p.low, p.high, p.defaults] for p in board.params],
@@ -303,7 +305,7 @@ _TOP_KEYS = {
     "message": dict,
     "param": dict,
 }
-_NUMBER = (int, Decimal)
+_NUMBER = (int, Decimal, Fraction)
 _BOARD_KEYS = {"kind": int, "node": int, "instances": list, "doc": str}
 _LINK_KEYS = {"baud": int, "boards": list, "budget": _NUMBER, "doc": str}
 _MEMBER_KEYS = {"value": int, "doc": str}
@@ -329,6 +331,7 @@ _FIELD_KEYS = {
     "max": _NUMBER,
     "safe": (*_NUMBER, str),
     "enum": str,
+    "index": str,
 }
 _PARAM_KEYS = {
     "name": str,
@@ -339,7 +342,7 @@ _PARAM_KEYS = {
     "default": (*_NUMBER, list),
     "doc": str,
 }
-_OPTIONAL = {"actuator", "frozen", "safe", "enum"}
+_OPTIONAL = {"actuator", "frozen", "safe", "enum", "index"}
 
 
 class _Reader:
@@ -353,7 +356,7 @@ class _Reader:
         self.problems.append(f"{self.file}: {where}: {what}")
 
     def checked(self, table: Any, keys: dict[str, Any], where: str, optional: set[str] = _OPTIONAL) -> bool:
-        """Whether `table` has exactly `keys` with their types; notes each that is missing, unknown or wrong."""
+        """Whether `table` has exactly `keys`, of their types; notes what is missing, unknown or wrong."""
         before = len(self.problems)
         if not isinstance(table, dict):
             self.problem(where, "is not a table")
@@ -375,10 +378,15 @@ class _Reader:
         self.plain_names = set(table["plain_names"].get("names", []))
         self.board_names = tuple(table["board"])
         params = {board: self.params(board, entry) for board, entry in table["param"].items()}
+        self.unique_params(params)
         boards = tuple(
             Board(
-                name, entry["kind"], entry["node"], tuple(entry["instances"]), params.get(name, ()),
-                entry["doc"]
+                name,
+                entry["kind"],
+                entry["node"],
+                tuple(entry["instances"]),
+                params.get(name, ()),
+                entry["doc"],
             )
             for name, entry in table["board"].items()
             if self.checked(entry, _BOARD_KEYS, f"board.{name}")
@@ -388,7 +396,7 @@ class _Reader:
         faults = tuple(fault for name, entry in table["fault"].items() for fault in self.fault(name, entry))
         self.unique(((f"fault.{fault.name}", fault.code) for fault in faults), "code")
         self.max_payload = table["max_payload_bytes"]
-        messages = [message for name, entry in table["message"].items() for message in self.message(name, entry)]
+        messages = [m for name, entry in table["message"].items() for m in self.message(name, entry)]
         self.unique(((f"message.{message.name}", message.id) for message in messages), "id")
         links = tuple(link for name, entry in table["link"].items() for link in self.link(name, entry))
         spec = Spec(
@@ -402,6 +410,7 @@ class _Reader:
             messages=tuple(sorted(messages, key=lambda message: message.id)),
         )
         self.budgets(spec)
+        self.used_enums(spec)
         return spec
 
     def unique(self, values: Iterable[tuple[str, int]], what: str) -> None:
@@ -410,6 +419,16 @@ class _Reader:
             if value in seen:
                 self.problem(where, f"{what} {value:#04x} is already the one of {seen[value]}")
             seen.setdefault(value, where)
+
+    def unique_params(self, params: dict[str, tuple[Param, ...]]) -> None:
+        """C++ names parameters without their board, so no two boards may share a name."""
+        owner: dict[str, str] = {}
+        for board, entries in params.items():
+            for param in entries:
+                if param.name in owner:
+                    what = f"is already a parameter of {owner[param.name]}"
+                    self.problem(f"param.{board}.{param.name}", what)
+                owner.setdefault(param.name, board)
 
     def known_boards(self, boards: list[Any], where: str) -> None:
         for board in boards:
@@ -431,9 +450,16 @@ class _Reader:
                     worst = max(spec.loads(link, sender), key=lambda load: load.share).message.name
                     self.problem(
                         f"link.{link.name}",
-                        f"messages from the {sender} take {float(share):.1%} of {link.baud} baud, over the budget "
-                        f"of {float(link.budget):.0%}; the largest share is message.{worst}",
+                        f"messages from the {sender} take {float(share):.1%} of {link.baud} baud, over the "
+                        f"budget of {float(link.budget):.0%}; the largest share is message.{worst}",
                     )
+
+    def used_enums(self, spec: Spec) -> None:
+        fields = [field for message in spec.messages for field in message.fields]
+        used = {name for field in fields for name in (field.enum, field.index)}
+        for enum in spec.enums:
+            if enum.name not in used:
+                self.problem(f"enum.{enum.name}", "no field uses it, so no schema hash would feel it change")
 
     def enum(self, name: str, entry: Any) -> Enum:
         members: list[Member] = []
@@ -515,7 +541,7 @@ class _Reader:
         except (ValueError, ZeroDivisionError):
             scale = Fraction(0)
         if scale <= 0:
-            self.problem(where, f"scale {value!r} is not a positive number or a fraction \"a/b\"")
+            self.problem(where, f'scale {value!r} is not a positive number or a fraction "a/b"')
             return Fraction(1)
         return scale
 
@@ -533,8 +559,8 @@ class _Reader:
         for what, counts in (("min", low), ("max", high)):
             if not smallest <= counts <= largest:
                 self.problem(
-                    where, f"{what} is {counts} counts of {scale}, outside {smallest} to {largest} of
-                    {type_name}"
+                    where,
+                    f"{what} is {counts} counts of {scale}, outside {smallest} to {largest} of {type_name}",
                 )
         if low > high:
             self.problem(where, "min is above max")
@@ -556,12 +582,16 @@ class _Reader:
             self.problem(where, f"count {entry['count']} is outside 1 to {self.max_payload}")
         scale = self.scale(entry.get("scale", 1), where)
         low, high = self.limits(entry, entry["type"], scale, where)
-        enum = entry.get("enum")
-        if enum is not None and enum not in self.enums:
-            self.problem(where, f"unknown enum '{enum}'; known are {', '.join(self.enums)}")
+        enum, index = entry.get("enum"), entry.get("index")
+        for name in (enum, index):
+            if name is not None and name not in self.enums:
+                self.problem(where, f"unknown enum '{name}'; known are {', '.join(self.enums)}")
+        if index in self.enums and len(self.enums[index].members) != entry.get("count"):
+            self.problem(where, f"count is not the {len(self.enums[index].members)} members of '{index}'")
         safe = entry.get("safe")
         if safe is None and actuator:
-            self.problem(where, "commands an actuator, so it needs 'safe': the value that stops motion, or any, or hold")
+            what = "commands an actuator, so it needs 'safe': the value that stops motion, or any, or hold"
+            self.problem(where, what)
         if isinstance(safe, str):
             if safe not in SAFE_WORDS:
                 self.problem(where, f"safe '{safe}' is neither a number nor {' nor '.join(SAFE_WORDS)}")
@@ -579,6 +609,7 @@ class _Reader:
             high=high,
             safe=safe,
             enum=enum,
+            index=index,
             doc=entry["doc"],
         )
 

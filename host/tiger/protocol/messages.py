@@ -1370,9 +1370,9 @@ class WheelSpeed:
 
 
 SCHEMA_HASH: dict[BoardKind, int] = {
-    BoardKind.MEGA_SUSPENSION: 0x5BEDE0A3,
-    BoardKind.NANO_IMU: 0xD2415FE3,
-    BoardKind.MEGA_SPEED: 0x95B1D5A9,
+    BoardKind.MEGA_SUSPENSION: 0xE3C58211,
+    BoardKind.NANO_IMU: 0xC6F2B522,
+    BoardKind.MEGA_SPEED: 0x7AB70118,
 }
 
 NODE: dict[BoardKind, int] = {
