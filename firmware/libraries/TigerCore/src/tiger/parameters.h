@@ -1,7 +1,7 @@
 // Parameters of a board: values in RAM, two copies in EEPROM.
 //
 // EEPROM, little-endian:
-//   0   board_uid u32, boot_count u16
+//   0   identity (identity.h)
 //   16  copy A       16 + kSlotBytes  copy B
 // A copy is: format u8, count u8, generation u16, values i32[count], CRC-32 of all that. Saving overwrites the older
 // copy, a byte at a time, so that a loss of power at any moment leaves the newer one whole; loading takes the newest
@@ -14,8 +14,6 @@
 
 namespace tiger {
 
-constexpr uint16_t kEepromUid = 0;
-constexpr uint16_t kEepromBootCount = 4;
 constexpr uint16_t kEepromSlots = 16;
 constexpr uint8_t kParameterFormat = 1;  // one more when indices change their meaning
 
@@ -30,7 +28,7 @@ inline uint32_t crc32_update(uint32_t crc, uint8_t byte) {
 enum class StoreState : uint8_t {
   Blank,    // never saved: defaults are in force
   Loaded,   // a stored copy is in force
-  Damaged,  // copies are there but none is good: defaults are in force
+  Damaged,  // copies are there but none is good: defaults are in force; or the last save failed
 };
 
 template <wire::BoardKind kKind, uint8_t kCount>
@@ -50,20 +48,20 @@ class Parameters {
     slot_ = b.good && (!a.good || static_cast<int16_t>(b.generation - a.generation) > 0) ? 1 : 0;
     generation_ = slot_ == 1 ? b.generation : a.good ? a.generation : 0;
     for (uint8_t i = 0; i < kCount; ++i) {
-      values_[i] = state_ == StoreState::Loaded ? read_value(hal, i) : wire::param_default(kKind, i);
+      const int32_t stored =
+          state_ == StoreState::Loaded ? read_value(hal, i) : wire::param_default(kKind, i);
+      values_[i] = in_limits(i, stored) ? stored : wire::param_default(kKind, i);
     }
   }
 
   int32_t get(uint8_t index) const { return values_[index]; }
   StoreState state() const { return state_; }
-  bool saving() const { return cursor_ < kSlotBytes; }
+  bool saving() const { return cursor_ < kSaved; }
 
   wire::AckStatus set(uint8_t index, int32_t value) {
     if (index >= kCount) return wire::AckStatus::kBadIndex;
     if (saving()) return wire::AckStatus::kBusy;
-    if (value < wire::param_min(kKind, index) || value > wire::param_max(kKind, index)) {
-      return wire::AckStatus::kOutOfRange;
-    }
+    if (!in_limits(index, value)) return wire::AckStatus::kOutOfRange;
     values_[index] = value;
     return wire::AckStatus::kOk;
   }
@@ -78,26 +76,35 @@ class Parameters {
     return wire::AckStatus::kOk;
   }
 
-  // Writes at most one byte. True in the one call in which a save is complete.
+  // Writes at most one byte; reads the copy back after the last. True in the one call in which a save ends.
   template <class Hal>
   bool poll(Hal& hal) {
     if (!saving() || !hal.eeprom_ready()) return false;
+    if (cursor_ == kSlotBytes) {
+      state_ = inspect(hal, slot_).good ? StoreState::Loaded : StoreState::Damaged;
+      cursor_ = kSaved;
+      return true;
+    }
     const uint8_t byte = byte_at(cursor_);
     if (cursor_ < kDataBytes) crc_ = crc32_update(crc_, byte);
-    const uint16_t address = slot_address(slot_) + cursor_;
+    const uint16_t address = static_cast<uint16_t>(slot_address(slot_) + cursor_);
     if (hal.eeprom_read(address) != byte) hal.eeprom_write(address, byte);  // spares cells that are right
     ++cursor_;
-    if (saving()) return false;
-    state_ = StoreState::Loaded;
-    return true;
+    return false;
   }
 
  private:
+  static constexpr uint16_t kSaved = kSlotBytes + 1;
+
   struct SlotState {
     bool good;
     bool blank;
     uint16_t generation;
   };
+
+  static bool in_limits(uint8_t index, int32_t value) {
+    return value >= wire::param_min(kKind, index) && value <= wire::param_max(kKind, index);
+  }
 
   static uint16_t slot_address(uint8_t slot) {
     return static_cast<uint16_t>(kEepromSlots + slot * kSlotBytes);
@@ -149,7 +156,7 @@ class Parameters {
   int32_t values_[kCount];
   uint32_t crc_ = 0;
   uint16_t generation_ = 0;
-  uint16_t cursor_ = kSlotBytes;
+  uint16_t cursor_ = kSaved;
   uint8_t slot_ = 0;  // the copy in force; while saving, the one being written
   StoreState state_ = StoreState::Blank;
 };
