@@ -1,0 +1,106 @@
+"""What the three studies of section 5.2 share: the car, its speed hold, and the look of their plots."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiger.config.vehicle import load_vehicle
+from tiger.models.vehicle import GRAVITY_MPS2
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from tiger.config.vehicle import VehicleConfig
+    from tiger.studies.report import Report
+
+Array = NDArray[np.float64]
+
+CORNERS = ("FL", "FR", "RL", "RR")
+KMH_TO_MPS = 1.0 / 3.6
+
+ASSUMPTIONS = {
+    "tyre": "Magic Formula, Pacejka 2006 App. 3 (205/60R15); the dissertation names no tyre",
+    "com_height_m, wheel inertia, rolling resistance, relaxation": "chosen (the preset says so)",
+}
+"""Choices every study of chapter 5 rests on."""
+
+
+def load_car(vehicle: str, inertia_divisor: float) -> VehicleConfig:
+    """Load a vehicle and divide its pitch and yaw inertia (the printed ones are ten times too large)."""
+    if not inertia_divisor > 0.0:
+        raise ValueError(
+            f"inertia_divisor = {inertia_divisor}; it must be above 0 (1: as printed, 10: likely)"
+        )
+    config = load_vehicle(vehicle)
+    body = config.body.model_copy(
+        update={
+            "pitch_inertia_kgm2": config.body.pitch_inertia_kgm2 / inertia_divisor,
+            "yaw_inertia_kgm2": config.body.yaw_inertia_kgm2 / inertia_divisor,
+        }
+    )
+    return config.model_copy(update={"body": body})
+
+
+class SpeedHold:
+    """Cruise control: equal wheel torques, proportional-integral in the speed error, rolling drag fed in."""
+
+    def __init__(self, config: VehicleConfig, speed_mps: float, gain_per_s: float = 3.0) -> None:
+        """Hold `speed_mps`; the closed loop's bandwidth is `gain_per_s`, the integral a third of it."""
+        wheels_kg = 2.0 * (config.front.unsprung_mass_kg + config.rear.unsprung_mass_kg)
+        mass_kg = config.body.mass_kg + wheels_kg
+        self._speed = speed_mps
+        self._gain = gain_per_s
+        self._integral_gain = gain_per_s / 3.0
+        self._torque_per_acceleration = mass_kg * config.tire.rolling_radius_m / 4.0
+        self._drag = config.tire.rolling_resistance * GRAVITY_MPS2
+        self._integral = 0.0
+
+    def torque_nm(self, speed_mps: float, dt_s: float) -> float:
+        """Return the torque of each wheel for the next `dt_s`."""
+        error = self._speed - speed_mps
+        self._integral += error * dt_s
+        wanted = self._gain * error + self._integral_gain * self._integral + self._drag
+        return self._torque_per_acceleration * wanted
+
+
+def rms(values: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def peak(values: Array) -> float:
+    """Largest magnitude."""
+    return float(np.max(np.abs(values)))
+
+
+def save_panels(
+    report: Report,
+    path: Path,
+    panels: Sequence[tuple[str, Sequence[tuple[str, str]]]],
+    x: str = "time_s",
+) -> Path:
+    """Draw stacked panels of `report.series` over the series `x` into a PNG.
+
+    A panel is (label of its y axis, [(series name, legend), ...]).
+    """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
+        figure = Figure(figsize=(7.0, 1.9 * len(panels)), layout="constrained")
+        axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+        for axis, (label, lines) in zip(axes, panels, strict=True):
+            for name, legend in lines:
+                axis.plot(np.asarray(report.series[x]), np.asarray(report.series[name]), label=legend, lw=1.2)
+            axis.set_ylabel(label)
+            if len(lines) > 1:
+                axis.legend(loc="upper right", ncols=len(lines))
+        axes[-1].set_xlabel("time (s)" if x == "time_s" else x)
+        figure.suptitle(report.title)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=110)
+    return path

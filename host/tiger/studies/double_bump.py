@@ -1,0 +1,273 @@
+"""Figures 5.7 and 5.8: two 20 cm bumps under the left wheels at 60 km/h, without and with active suspension.
+
+Three runs over the same ground: passive; ideal force actuators beside the springs, limited to the vehicle's
+`actuator.max_force_n`; and the real TIGER actuator in series with the springs, whose spring seats rise at
+9.4 mm/s times the mechanism's motion ratio at most. The first two are the dissertation's figures; the third
+says what such slow actuators can do about a bump that lasts 0.6 s, which is next to nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiger.config.vehicle import load_vehicle
+from tiger.models.terrain import Terrain
+from tiger.models.vehicle import History, Inputs, Vehicle, euler_from_quaternion
+from tiger.studies.chapter5 import ASSUMPTIONS, KMH_TO_MPS, SpeedHold, load_car, peak, rms, save_panels
+from tiger.studies.report import Report, Row
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from tiger.config.vehicle import VehicleConfig
+
+Array = NDArray[np.float64]
+
+CASES = ("passive", "active", "eam")
+
+_ROLL_PATTERN = np.array([1.0, -1.0, 1.0, -1.0])
+"""Forces on the body at FL, FR, RL, RR that lift its left side."""
+
+
+def run(
+    vehicle: str = "table-5-1",
+    speed_kmh: float = 60.0,
+    bump_m: float = 0.2,
+    bump_length_m: float = 10.0,
+    inertia_divisor: float = 10.0,
+    attitude_bandwidth_hz: float = 1.0,
+    eam: str = "tiger",
+    duration_s: float = 4.0,
+    dt_s: float = 1e-3,
+    progress: Callable[[float], None] | None = None,
+) -> Report:
+    """Cross the bumps three times and compare; `eam` names the robot whose actuator and mechanism are borrowed.
+
+    Raises ConfigError for an unknown vehicle, ValueError if `vehicle` has no force actuator or `eam` no EAM.
+    """
+    config = load_car(vehicle, inertia_divisor)
+    if config.actuator.kind != "force":
+        raise ValueError(f"{vehicle} has no force actuator; this study needs actuator.kind = 'force'")
+    terrain = double_bump(bump_m, bump_length_m)
+    plant = Vehicle(config, terrain)
+    law = AttitudeForces(config, attitude_bandwidth_hz, config.actuator.max_force_n)
+    drivers: dict[str, _Suspension] = {
+        "passive": _Passive(),
+        "active": law,
+        "eam": SlowEam(law, config, load_vehicle(eam), dt_s),
+    }
+    histories: dict[str, History] = {}
+    inputs: dict[str, Array] = {}
+    for n, case in enumerate(CASES):
+        histories[case], inputs[case] = _cross(plant, drivers[case], speed_kmh, duration_s, dt_s)
+        if progress is not None:
+            progress((n + 1) / len(CASES))
+    figures = {case: _figures(histories[case]) for case in CASES}
+    rows = [
+        Row(f"{name}, {case}", figures[case][name][0], figures[case][name][1])
+        for name in figures["passive"]
+        for case in CASES
+    ]
+    rows += [
+        Row(f"{name}, {case}/passive", figures[case][name][0] / figures["passive"][name][0], "-")
+        for name in ("roll, RMS", "pitch, RMS", "load transfer, peak", "path deviation, peak")
+        for case in CASES[1:]
+    ]
+    rows.append(Row("actuator force, peak, active", peak(inputs["active"][:, 8:12]), "N"))
+    rows.append(Row("spring seat lift, peak, eam", 1e3 * peak(inputs["eam"][:, 12:16]), "mm"))
+    series: dict[str, Array] = {"time_s": histories["passive"].time_s[:-1]}
+    for case in CASES:
+        series.update({f"{name}_{case}": v for name, v in _series(histories[case], inputs[case]).items()})
+    return Report(
+        title=f"Double bump: {speed_kmh:g} km/h, left bumps of {bump_length_m:g} m x {100 * bump_m:g} cm",
+        rows=tuple(rows),
+        series=series,
+        assumptions={
+            **ASSUMPTIONS,
+            "vehicle": vehicle,
+            "inertia_divisor": inertia_divisor,
+            "bumps": "one period of (1 - cos)/2 each, one after the other, under the left half of the car",
+            "speed": "held by equal wheel torques (proportional-integral); no steering, no path control",
+            "active": (
+                "ideal forces: roll, pitch and warp parts of the spring and damper forces are cancelled and "
+                f"replaced by a critically damped {attitude_bandwidth_hz:g} Hz return of roll and pitch"
+            ),
+            "max_force_n": config.actuator.max_force_n,
+            "eam": f"the same law through the springs of {eam}'s series actuators and their rate limit",
+        },
+    )
+
+
+def plot(report: Report, directory: Path) -> list[Path]:
+    """Draw Figure 5.7 (path, speed, torque, rollover index) and 5.8 (attitude, yaw rate, heave, forces)."""
+
+    def both(name: str) -> list[tuple[str, str]]:
+        return [(f"{name}_{case}", case) for case in CASES]
+
+    return [
+        save_panels(
+            report,
+            directory / "double_bump_path.png",
+            [
+                ("path y (m)", both("y_m")),
+                ("speed (km/h)", both("speed_kmh")),
+                ("traction (Nm)", both("traction_torque_nm")),
+                ("load transfer (-)", both("load_transfer")),
+            ],
+        ),
+        save_panels(
+            report,
+            directory / "double_bump_attitude.png",
+            [
+                ("roll (deg)", both("roll_deg")),
+                ("pitch (deg)", both("pitch_deg")),
+                ("yaw rate (deg/s)", both("yaw_rate_degps")),
+                ("body rise (m)", both("heave_m")),
+                ("force FL (N)", [("force_fl_n_active", "active")]),
+            ],
+        ),
+    ]
+
+
+def double_bump(height_m: float = 0.2, length_m: float = 10.0, start_m: float = 10.0) -> Terrain:
+    """Two successive bumps under everything left of the centre line."""
+    first = Terrain().with_bump(height_m, start_m, length_m, right_m=0.0)
+    return first.with_bump(height_m, start_m + length_m, length_m, right_m=0.0)
+
+
+class _Suspension(Protocol):
+    def act(self, state: Array, inputs: Inputs) -> None:
+        """Set the suspension's inputs for the next step."""
+
+
+class _Passive:
+    def act(self, state: Array, inputs: Inputs) -> None:
+        """Leave the springs and dampers alone."""
+
+
+@dataclass(frozen=True)
+class AttitudeForces:
+    """Ideal forces that keep roll and pitch level and let the body heave.
+
+    Springs and dampers are measured (strut compression and rate); what they do to roll, pitch and warp is
+    taken back, which leaves the body hanging on the mean of the four: the soft heave mode it has anyway. Roll
+    and pitch are then double integrators, returned to level with a bandwidth and critical damping (attitude and
+    rates from the IMU).
+    """
+
+    config: VehicleConfig
+    bandwidth_hz: float
+    max_force_n: float
+    _spring: Array = field(init=False, repr=False)
+    _damper: Array = field(init=False, repr=False)
+    _inertia: Array = field(init=False, repr=False)
+    _lever: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Collect the corner matrices."""
+        c = self.config
+        axles = (c.front, c.front, c.rear, c.rear)
+        x = np.array([1.0, 1.0, -1.0, -1.0])
+        x *= np.where(x > 0.0, c.body.com_to_front_axle_m, c.body.com_to_rear_axle_m)
+        y = c.body.half_track_m * _ROLL_PATTERN
+        object.__setattr__(self, "_spring", np.array([axle.spring_npm for axle in axles]))
+        object.__setattr__(self, "_damper", np.array([axle.damper_nspm for axle in axles]))
+        object.__setattr__(self, "_inertia", np.array([c.body.roll_inertia_kgm2, c.body.pitch_inertia_kgm2]))
+        # Force (+ up) at each corner for a unit moment about roll and pitch, without heave or warp.
+        modes = np.stack([np.ones(4), y, -x, x * y])
+        object.__setattr__(self, "_lever", np.linalg.inv(modes)[:, 1:3])
+
+    def wanted(self, state: Array) -> Array:
+        """Forces (4,) before the limit."""
+        passive = self._spring * state[13:17] + self._damper * state[17:21]
+        attitude = euler_from_quaternion(state[3:7])[:2]
+        omega = 2.0 * np.pi * self.bandwidth_hz
+        moments = -self._inertia * (omega**2 * attitude + 2.0 * omega * state[10:12])
+        return np.asarray(passive.mean() - passive + self._lever @ moments)
+
+    def act(self, state: Array, inputs: Inputs) -> None:
+        """Set the actuator forces, limited."""
+        inputs.actuator_force_n[:] = np.clip(self.wanted(state), -self.max_force_n, self.max_force_n)
+
+
+class SlowEam:
+    """The same law through series actuators: a lift of force/spring, as fast and as far as the EAM goes."""
+
+    def __init__(self, law: AttitudeForces, car: VehicleConfig, robot: VehicleConfig, dt_s: float) -> None:
+        """Borrow `robot`'s actuator and mechanism for `car`; strokes start in the middle."""
+        from tiger.models.eam import Eam
+
+        if robot.actuator.kind != "rate":
+            raise ValueError("the EAM's vehicle needs actuator.kind = 'rate'; use the preset tiger")
+        self._law = law
+        self._spring = np.array([car.front.spring_npm] * 2 + [car.rear.spring_npm] * 2)
+        self._actuator = robot.actuator
+        self._curve = Eam.from_vehicle(robot).curve()
+        self._stroke_mm = np.full(4, 0.5 * robot.actuator.stroke_max_mm)
+        self._datum_mm = float(self._curve.rise_mm(self._stroke_mm[0]))
+        self._dt_s = dt_s
+
+    def act(self, state: Array, inputs: Inputs) -> None:
+        """Move the strokes towards the wanted lift."""
+        target_mm = self._curve.stroke_mm(self._datum_mm + 1e3 * self._law.wanted(state) / self._spring)
+        limit = self._actuator.max_rate_mmps
+        lag_s = max(self._actuator.lag_s, self._dt_s)
+        rate = np.clip((target_mm - self._stroke_mm) / lag_s, -limit, limit)
+        inputs.lift_m[:] = 1e-3 * (self._curve.rise_mm(self._stroke_mm) - self._datum_mm)
+        inputs.lift_rate_mps[:] = 1e-3 * self._curve.motion_ratio(self._stroke_mm) * rate
+        self._stroke_mm = np.clip(self._stroke_mm + rate * self._dt_s, 0.0, self._actuator.stroke_max_mm)
+
+
+def _cross(
+    plant: Vehicle, suspension: _Suspension, speed_kmh: float, duration_s: float, dt_s: float
+) -> tuple[History, Array]:
+    """Drive over the terrain in closed loop; return the history and the inputs (n, 34)."""
+    speed = speed_kmh * KMH_TO_MPS
+    start = plant.rolling(speed)
+    state, inputs = start.copy(), Inputs()
+    hold = SpeedHold(plant.config, speed)
+    steps = round(duration_s / dt_s)
+    table = np.empty((steps, inputs.vector.size))
+    for k in range(steps):
+        inputs.wheel_torque_nm[:] = hold.torque_nm(float(state[7]), dt_s)
+        suspension.act(state, inputs)
+        table[k] = inputs.vector
+        plant.step(state, inputs, dt_s)
+    return plant.simulate(start, table, duration_s, dt_s), table
+
+
+def _figures(history: History) -> dict[str, tuple[float, str]]:
+    angles = np.degrees(history.attitude_rad)
+    return {
+        "roll, RMS": (rms(angles[:, 0]), "deg"),
+        "pitch, RMS": (rms(angles[:, 1]), "deg"),
+        "load transfer, peak": (peak(history.load_transfer), "-"),
+        "path deviation, peak": (peak(history.position_m[:, 1]), "m"),
+        "yaw rate, peak": (peak(np.degrees(history.rate_radps[:, 2])), "deg/s"),
+        "body rise, peak": (peak(history.position_m[:, 2] - history.position_m[0, 2]), "m"),
+        "speed, least": (float(history.velocity_mps[:, 0].min()) / KMH_TO_MPS, "km/h"),
+        "traction torque, peak": (peak(history.wheel_torque_nm.sum(axis=1)), "Nm"),
+        "wheel load, least": (float(history.wheel_load_n.min()), "N"),
+    }
+
+
+def _series(history: History, inputs: Array) -> dict[str, Array]:
+    angles = np.degrees(history.attitude_rad[:-1])
+    return {
+        "x_m": history.position_m[:-1, 0],
+        "y_m": history.position_m[:-1, 1],
+        "speed_kmh": history.velocity_mps[:-1, 0] / KMH_TO_MPS,
+        "traction_torque_nm": history.wheel_torque_nm[:-1].sum(axis=1),
+        "load_transfer": history.load_transfer[:-1],
+        "roll_deg": angles[:, 0],
+        "pitch_deg": angles[:, 1],
+        "yaw_rate_degps": np.degrees(history.rate_radps[:-1, 2]),
+        "heave_m": history.position_m[:-1, 2] - history.position_m[0, 2],
+        "force_fl_n": inputs[:, 8],
+        "lift_fl_mm": 1e3 * inputs[:, 12],
+    }

@@ -1,0 +1,155 @@
+"""Figure 5.5: 30 km/h straight on while the yaw rate is made to follow 0.18 sin(3t).
+
+The dissertation prescribes the motion and not what causes it, so the study does the same: at every step it
+applies the yaw moment and the longitudinal force at the COM that hold yaw rate and speed, and reports their
+size. The lateral response (acceleration, lag, roll, load transfer) then depends on tyres and suspension alone.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiger.models.vehicle import GRAVITY_MPS2, Inputs, Vehicle
+from tiger.studies.chapter5 import ASSUMPTIONS, KMH_TO_MPS, load_car, peak, save_panels
+from tiger.studies.report import Report, Row
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+Array = NDArray[np.float64]
+
+_FORWARD_SPEED, _YAW_RATE = 7, 12
+_HOLD_PER_S = 20.0
+
+
+def run(
+    vehicle: str = "table-5-1",
+    speed_kmh: float = 30.0,
+    yaw_rate_amplitude_radps: float = 0.18,
+    yaw_rate_frequency_radps: float = 3.0,
+    periods: int = 5,
+    inertia_divisor: float = 1.0,
+    dt_s: float = 1e-3,
+    progress: Callable[[float], None] | None = None,
+) -> Report:
+    """Drive the sinusoid; amplitude and lag are those of the fundamental over the last two periods.
+
+    Raises ValueError for fewer than 3 periods, ConfigError for an unknown vehicle.
+    """
+    if periods < 3:
+        raise ValueError(f"periods = {periods}; at least 3 are needed, one to settle and two to measure")
+    config = load_car(vehicle, inertia_divisor)
+    plant, inputs = Vehicle(config), Inputs()
+    speed = speed_kmh * KMH_TO_MPS
+    amplitude, frequency = yaw_rate_amplitude_radps, yaw_rate_frequency_radps
+    period = 2.0 * np.pi / frequency
+    steps = round(periods * period / dt_s)
+
+    state = plant.rolling(speed)
+    table = np.empty((steps, inputs.vector.size))
+    for k in range(steps):
+        phase = frequency * k * dt_s
+        yaw_rate, yaw_acceleration = amplitude * np.sin(phase), amplitude * frequency * np.cos(phase)
+        _hold(plant, state, inputs, speed, yaw_rate, yaw_acceleration)
+        table[k] = inputs.vector
+        plant.step(state, inputs, dt_s)
+        if progress is not None and k % 500 == 0:
+            progress(k / steps)
+    history = plant.simulate(plant.rolling(speed), table, steps * dt_s, dt_s)
+
+    # Sample 0 .. steps - 1: the last has no input of its own.
+    time = history.time_s[:-1]
+    yaw_rate = history.rate_radps[:-1, 2]
+    lateral = history.acceleration_mps2[:-1, 1]
+    roll = np.degrees(history.attitude_rad[:-1, 0])
+    transfer = history.load_transfer[:-1]
+    moment = table[:, 25]
+    steady = time >= time[-1] - 2.0 * period
+    fit = _Sinusoid(time[steady], frequency)
+    lateral_amplitude, lateral_phase = fit(lateral[steady])
+    roll_amplitude, _ = fit(roll[steady])
+    _, yaw_phase = fit(yaw_rate[steady])
+    mass = config.body.mass_kg + 2.0 * (config.front.unsprung_mass_kg + config.rear.unsprung_mass_kg)
+    grip_moment = config.tire.friction * mass * GRAVITY_MPS2 * config.body.half_track_m
+    return Report(
+        title=f"Handling: {speed_kmh:g} km/h, r = {amplitude:g} sin({frequency:g} t) rad/s",
+        rows=(
+            Row("yaw rate, peak", peak(yaw_rate[steady]), "rad/s", yaw_rate_amplitude_radps),
+            Row("lateral acceleration, amplitude", lateral_amplitude, "m/s2"),
+            Row("lateral acceleration, lag on yaw rate", yaw_phase - lateral_phase, "deg"),
+            Row("roll, amplitude", roll_amplitude, "deg"),
+            Row("load transfer, peak", peak(transfer[steady]), "-"),
+            Row("lateral path, peak to peak", float(np.ptp(history.position_m[:, 1])), "m"),
+            Row("yaw moment needed, peak", peak(moment[steady]), "Nm"),
+            Row("yaw moment if all grip went into it (mu m g w)", grip_moment, "Nm"),
+        ),
+        series={
+            "time_s": time,
+            "yaw_rate_radps": yaw_rate,
+            "lateral_acceleration_mps2": lateral,
+            "roll_deg": roll,
+            "load_transfer": transfer,
+            "yaw_moment_nm": moment,
+            "x_m": history.position_m[:-1, 0],
+            "y_m": history.position_m[:-1, 1],
+        },
+        assumptions={
+            **ASSUMPTIONS,
+            "vehicle": vehicle,
+            "yaw_and_speed": "held by an ideal yaw moment and longitudinal force at the COM",
+            "inertia_divisor": inertia_divisor,
+            "com_height_m": config.body.com_height_m,
+        },
+    )
+
+
+def plot(report: Report, directory: Path) -> list[Path]:
+    """Draw Figure 5.5: yaw rate and lateral acceleration, then roll and load transfer."""
+    return [
+        save_panels(
+            report,
+            directory / "handling.png",
+            [
+                ("yaw rate (rad/s)", [("yaw_rate_radps", "yaw rate")]),
+                ("lateral acc. (m/s²)", [("lateral_acceleration_mps2", "lateral acceleration")]),
+                ("roll (deg)", [("roll_deg", "roll")]),
+                ("load transfer (-)", [("load_transfer", "load transfer")]),
+            ],
+        )
+    ]
+
+
+def _hold(
+    plant: Vehicle, state: Array, inputs: Inputs, speed: float, yaw_rate: float, yaw_acceleration: float
+) -> None:
+    """Set the yaw moment and longitudinal force that give the wanted accelerations (both act linearly)."""
+    inputs.body_moment_nm[2] = inputs.body_force_n[0] = 0.0
+    free = plant.rate(state, inputs)[[_YAW_RATE, _FORWARD_SPEED]]
+    inputs.body_moment_nm[2] = 1.0
+    by_moment = plant.rate(state, inputs)[[_YAW_RATE, _FORWARD_SPEED]] - free
+    inputs.body_moment_nm[2], inputs.body_force_n[0] = 0.0, 1.0
+    by_force = plant.rate(state, inputs)[[_YAW_RATE, _FORWARD_SPEED]] - free
+    wanted = np.array(
+        [
+            yaw_acceleration + _HOLD_PER_S * (yaw_rate - state[_YAW_RATE]),
+            _HOLD_PER_S * (speed - state[_FORWARD_SPEED]),
+        ]
+    )
+    moment, force = np.linalg.solve(np.stack([by_moment, by_force], axis=1), wanted - free)
+    inputs.body_moment_nm[2], inputs.body_force_n[0] = moment, force
+
+
+class _Sinusoid:
+    """Least-squares amplitude and phase (deg, of the sine) at a known frequency."""
+
+    def __init__(self, time_s: Array, frequency_radps: float) -> None:
+        phase = frequency_radps * time_s
+        self._basis = np.stack([np.sin(phase), np.cos(phase), np.ones_like(phase)], axis=1)
+
+    def __call__(self, values: Array) -> tuple[float, float]:
+        sine, cosine, _ = np.linalg.lstsq(self._basis, values, rcond=None)[0]
+        return float(np.hypot(sine, cosine)), float(np.degrees(np.arctan2(cosine, sine)))
