@@ -59,7 +59,8 @@ class AttitudeFilter {
     up_ = Vec3{0.0f, 0.0f, 0.0f};
     tilt_x_ = tilt_y_ = 0.0f;
     phase_ = 0;
-    mag_waiting_ = started_ = false;
+    mag_waiting_ = started_ = walking_ = false;
+    bias_pause_ = 0;
   }
 
   void start_bias_from(const Vec3& bias_radps) { bias_.start_from(bias_radps); }
@@ -74,6 +75,16 @@ class AttitudeFilter {
     if (phase_ == slow_every_ / 2) update_bias();
     if (mag_waiting_ && (slow_every_ == 1 || phase_ % 2 == 1)) update_heading();
     if (++phase_ >= slow_every_) phase_ = 0;
+  }
+
+  // Call before the first sample after a gap. The body may have turned meanwhile: gravity is averaged afresh and
+  // the attitude walks to it, without a jump; what the gap did is not taken for gyroscope bias.
+  void resume() {
+    accel_low_pass_.reset();
+    walking_ = true;
+    bias_pause_ = static_cast<uint8_t>(kBiasPauseTaus * accel_gains_.warmup / slow_every_ < 255
+                                           ? kBiasPauseTaus * accel_gains_.warmup / slow_every_
+                                           : 255);
   }
 
   // A new magnetometer sample, of the instant of the latest step.
@@ -121,6 +132,11 @@ class AttitudeFilter {
     const float scale = 1.0f / norm;
     tilt_x_ = scale * up.x;
     tilt_y_ = scale * up.y;
+    if (walking_ && limit_tilt()) {
+      inclination_ = normalised(Quat{1.0f, 0.5f * tilt_y_, -0.5f * tilt_x_, 0.0f} * inclination_);
+      combine();
+      return;
+    }
     const float w = sqrtf(0.5f * (scale * up.z + 1.0f));
     const Quat turn =
         w > 1e-3f ? Quat{w, 0.5f * tilt_y_ / w, -0.5f * tilt_x_ / w, 0.0f} : Quat{0.0f, 1.0f, 0.0f, 0.0f};
@@ -128,10 +144,23 @@ class AttitudeFilter {
     combine();
   }
 
+  // Shortens the tilt to one step of the walk; false when it was that short already: the walk has arrived.
+  bool limit_tilt() {
+    const float tilt2 = tilt_x_ * tilt_x_ + tilt_y_ * tilt_y_;
+    walking_ = tilt2 > kWalkStepRad * kWalkStepRad;
+    if (!walking_) return false;
+    const float shorten = kWalkStepRad / sqrtf(tilt2);
+    tilt_x_ *= shorten;
+    tilt_y_ *= shorten;
+    return true;
+  }
+
   void update_bias() {
     const Mat3 body_to_inclined = matrix(inclination_ * inertial_);
     if (rest_.resting()) {
       bias_.update_at_rest(body_to_inclined, rest_.gyro_mean());
+    } else if (bias_pause_ > 0) {
+      bias_pause_--;
     } else {
       bias_.update_in_motion(body_to_inclined, tilt_x_, tilt_y_);
     }
@@ -149,6 +178,9 @@ class AttitudeFilter {
     earth_ = Quat{cosf(half), 0.0f, 0.0f, sinf(half)} * inclination_;
   }
 
+  static constexpr float kWalkStepRad = 0.0035f;  // 0.2 degrees a correction: 5 degrees/s at 25 Hz
+  static constexpr uint8_t kBiasPauseTaus = 2;
+
   Quat inertial_;     // body -> almost inertial
   Quat inclination_;  // almost inertial -> inclined
   Quat earth_;        // almost inertial -> earth
@@ -161,8 +193,8 @@ class AttitudeFilter {
   RestDetector rest_;
   GyroBias bias_;
   Heading heading_;
-  uint8_t slow_every_, phase_;
-  bool mag_waiting_, started_;
+  uint8_t slow_every_, phase_, bias_pause_;
+  bool mag_waiting_, started_, walking_;
 };
 
 }  // namespace fusion

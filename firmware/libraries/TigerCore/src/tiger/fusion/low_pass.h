@@ -19,10 +19,11 @@ struct LowPassGains {
 };
 
 // The corner sits at sqrt(2) / (2 pi tau), which makes the step response settle about as fast as that of a
-// first-order filter of time constant tau. Needs period < tau / 4; the tangent is its series.
+// first-order filter of time constant tau. The tangent is its series, good to 0.1 % for period < 0.7 tau.
 inline LowPassGains low_pass_gains(float tau_s, float period_s) {
   const float x = period_s / (1.41421356f * tau_s);
-  const float g = x * (1.0f + x * x * (1.0f / 3.0f));
+  const float x2 = x * x;
+  const float g = x * (1.0f + x2 * (1.0f / 3.0f + x2 * (2.0f / 15.0f)));
   const float damping = 1.0f / (1.0f + g * (g + 1.41421356f));
   return LowPassGains{damping, g * damping, g, static_cast<uint16_t>(tau_s / period_s)};
 }
@@ -32,15 +33,18 @@ class LowPass {
  public:
   void reset() { count_ = 0; }
 
-  // `out` may be `in`.
-  void update(const LowPassGains& gains, const float* in, float* out) {
+  // `out` may be `in`. `steps`, where given, receives half of what the output changes by in a period: its
+  // derivative is that times 2 / period.
+  void update(const LowPassGains& gains, const float* in, float* out, float* steps = nullptr) {
     if (count_ < gains.warmup) {
       average(in, out);
+      for (uint8_t i = 0; steps != nullptr && i < N; i++) steps[i] = 0.0f;
       return;
     }
     for (uint8_t i = 0; i < N; i++) {
       const float slope = gains.damping * slope_[i] + gains.rise * (in[i] - value_[i]);
       const float step = gains.g * slope;
+      if (steps != nullptr) steps[i] = step;
       out[i] = value_[i] + step;
       value_[i] = out[i] + step;
       slope_[i] = slope + slope - slope_[i];

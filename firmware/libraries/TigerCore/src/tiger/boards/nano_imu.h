@@ -1,0 +1,253 @@
+// nano_imu: reads the BNO055 at 100 Hz, keeps the body's attitude, and sends both to the Mega.
+//
+// It moves nothing: ARM only tells that the host relies on it. Faults latch and are reported, but the messages go
+// on; their flags say what they are worth.
+#pragma once
+
+#include <stdint.h>
+
+#include "../fusion/attitude_filter.h"
+#include "../link.h"
+#include "../protocol.h"
+#include "../sensing/bno055.h"
+#include "../task.h"
+#include "nano_imu_config.h"
+
+namespace tiger {
+
+template <class Hal>
+class NanoImu : public BoardHooks {
+ public:
+  explicit NanoImu(Hal& hal) : hal_(hal), link_(hal, *this), sensor_(hal), task_(nano_imu_config::kTickUs) {}
+
+  void begin() {
+    link_.begin();
+    const uint32_t now_us = hal_.micros();
+    parameters_changed();
+    filter_.begin(fusion::AttitudeTuning());
+    turning_gains_ = fusion::low_pass_gains(nano_imu_config::kAngularAccelTauS, nano_imu_config::kTickS);
+    sensor_.begin(now_us);
+    task_.start(now_us);
+    sent_us_ = mag_us_ = now_us;
+  }
+
+  void poll() {
+    const uint32_t now_us = hal_.micros();
+    link_.poll(now_us);
+    ImuReading reading;
+    if (sensor_.poll(now_us, reading)) {
+      take(reading);
+      report(now_us);
+    }
+    watch_sensor();
+    if (raw_pending_ && link_.send(raw_)) raw_pending_ = false;
+    if (task_.due(now_us)) {
+      if (now_us - sent_us_ > nano_imu_config::kLateUs) report_stale(now_us);
+      link_.task_done(task_, now_us);
+    }
+  }
+
+  // ---- hooks of the link
+
+  bool ready() const { return sensor_.working() && settled_ >= nano_imu_config::kSettleSamples; }
+
+  bool fault_present(wire::Fault fault) const {
+    return fault >= wire::Fault::kImuAbsent && fault <= wire::Fault::kImuData && !sensor_.working();
+  }
+
+  void parameters_changed() {
+    const auto& p = link_.parameters();
+    gyro_bias_ = 1e-6f * triple(p, wire::kParamGyroBiasRadps);
+    accel_offset_ = 1e-4f * triple(p, wire::kParamAccelOffsetMps2);
+    accel_scale_ = 1e-6f * triple(p, wire::kParamAccelScalePermille);
+    const uint8_t m = wire::kParamMountingQuaternion;
+    const fusion::Vec3 v = triple(p, m + 1);
+    mounting_ = fusion::matrix(fusion::normalised(
+        fusion::Quat{1e-6f * static_cast<float>(p.get(m)), 1e-6f * v.x, 1e-6f * v.y, 1e-6f * v.z}));
+    is_turned_ = p.get(m + 1) != 0 || p.get(m + 2) != 0 || p.get(m + 3) != 0;
+    is_calibrated_ = p.get(wire::kParamCalibrated) != 0;
+  }
+
+  const fusion::AttitudeFilter& filter() const { return filter_; }
+
+ private:
+  using Link = BoardLink<Hal, NanoImu, wire::BoardKind::kNanoImu, wire::kParamCountNanoImu>;
+  friend Link;
+
+  static fusion::Vec3 triple(const typename Link::Values& p, uint8_t first) {
+    return fusion::Vec3{static_cast<float>(p.get(first)),
+                        static_cast<float>(p.get(static_cast<uint8_t>(first + 1))),
+                        static_cast<float>(p.get(static_cast<uint8_t>(first + 2)))};
+  }
+
+  // Physical value to counts of the wire, held inside its limits.
+  static int16_t counts(float value, float per_unit, int16_t limit) {
+    const float x = value * per_unit;
+    if (x >= limit) return limit;
+    if (x <= -static_cast<float>(limit)) return static_cast<int16_t>(-limit);
+    return static_cast<int16_t>(x < 0.0f ? x - 0.5f : x + 0.5f);
+  }
+
+  // Three counts of a packed message are written and read as bytes: they need not be aligned.
+  static void put(void* out, const fusion::Vec3& v, float per_unit, int16_t limit) {
+    const int16_t c[3] = {counts(v.x, per_unit, limit), counts(v.y, per_unit, limit),
+                          counts(v.z, per_unit, limit)};
+    memcpy(out, c, sizeof(c));
+  }
+
+  static fusion::Vec3 as_vec(const void* counts_of_three) {
+    int16_t c[3];
+    memcpy(c, counts_of_three, sizeof(c));
+    return fusion::Vec3{static_cast<float>(c[0]), static_cast<float>(c[1]), static_cast<float>(c[2])};
+  }
+
+  // Register counts to counts of imu_raw, which have the same scales: only turned into the robot's axes.
+  void turn(const int16_t* sensor, int16_t limit, void* body) const {
+    const fusion::Vec3 v = as_vec(sensor);
+    put(body, is_turned_ ? mounting_ * v : v, 1.0f, limit);
+  }
+
+  void set_flag(uint8_t bit, bool on) {
+    const uint16_t mask = static_cast<uint16_t>(1u << bit);
+    flags_ = static_cast<uint16_t>(on ? flags_ | mask : flags_ & ~mask);
+  }
+
+  // ---- one sample
+
+  void take(const ImuReading& reading) {
+    using namespace wire;
+    const ImuVerdict& verdict = reading.verdict;
+    raw_.t_us = reading.t_us;
+    turn(reading.counts.accel, ImuRaw::kAccelMps2Max, raw_.accel_mps2);
+    turn(reading.counts.gyro, ImuRaw::kGyroRadpsMax, raw_.gyro_radps);
+    if (verdict.mag_fresh) {
+      turn(reading.counts.mag, ImuRaw::kMagUtMax, raw_.mag_ut);
+      mag_us_ = reading.t_us;
+    }
+    raw_.temperature_celsius = sensor_.temperature_celsius();
+    set_flag(kImuFlagAccelOk, verdict.accel_ok);
+    set_flag(kImuFlagGyroOk, verdict.gyro_ok);
+    set_flag(kImuFlagMagOk, verdict.mag_ok);
+    set_flag(kImuFlagMagFresh, verdict.mag_fresh);
+    set_flag(kImuFlagSaturated, verdict.saturated);
+    set_flag(kImuFlagStale, verdict.repeated);
+    if (verdict.gyro_ok) fuse(reading);
+  }
+
+  // Without a usable rate nothing is done: the next good sample bridges the gap, or starts anew after it.
+  void fuse(const ImuReading& reading) {
+    using namespace fusion;
+    const ImuVerdict& verdict = reading.verdict;
+    const uint32_t since_us = reading.t_us - fused_us_;
+    const bool bridged = has_fused_ && since_us <= nano_imu_config::kBridgeUs;
+    if (has_fused_ && !bridged) {
+      filter_.resume();
+      turning_.reset();
+      settled_ = 0;
+    }
+    fused_us_ = reading.t_us;
+    has_fused_ = true;
+
+    const Vec3 accel = as_vec(raw_.accel_mps2);
+    const Vec3 accel_mps2 = {accel_scale_.x * (wire::ImuRaw::kAccelMps2Scale * accel.x - accel_offset_.x),
+                             accel_scale_.y * (wire::ImuRaw::kAccelMps2Scale * accel.y - accel_offset_.y),
+                             accel_scale_.z * (wire::ImuRaw::kAccelMps2Scale * accel.z - accel_offset_.z)};
+    const Vec3 gyro_radps = wire::ImuRaw::kGyroRadpsScale * as_vec(raw_.gyro_radps) - gyro_bias_;
+    filter_.step(ImuSample{gyro_radps, accel_mps2, Vec3{0.0f, 0.0f, 0.0f}, verdict.accel_ok, true},
+                 bridged ? 1e-6f * static_cast<float>(since_us) : 0.0f);
+    if (verdict.mag_fresh && verdict.mag_ok) {
+      filter_.add_magnetometer(wire::ImuRaw::kMagUtScale * as_vec(raw_.mag_ut));
+    }
+    if (verdict.accel_ok && settled_ < nano_imu_config::kSettleSamples) settled_++;
+    describe(accel_mps2);
+  }
+
+  void describe(const fusion::Vec3& accel_mps2) {
+    using namespace fusion;
+    using wire::ImuAttitude;
+    const Quat q = filter_.attitude();
+    constexpr int16_t kUnit = ImuAttitude::kQuaternionMax;
+    attitude_.quaternion[0] = counts(q.w, kUnit, kUnit);
+    attitude_.quaternion[1] = counts(q.x, kUnit, kUnit);
+    attitude_.quaternion[2] = counts(q.y, kUnit, kUnit);
+    attitude_.quaternion[3] = counts(q.z, kUnit, kUnit);
+    const Vec3& rate = filter_.rate_radps();
+    put(attitude_.rate_radps, rate, 1.0f / ImuAttitude::kRateRadpsScale, ImuAttitude::kRateRadpsMax);
+
+    float smooth[3] = {rate.x, rate.y, rate.z};
+    float steps[3];
+    turning_.update(turning_gains_, smooth, smooth, steps);
+    constexpr float kPerStep = 2.0f / nano_imu_config::kTickS / ImuAttitude::kAngularAccelRadps2Scale;
+    put(attitude_.angular_accel_radps2, Vec3{steps[0], steps[1], steps[2]}, kPerStep,
+        ImuAttitude::kAngularAccelRadps2Max);
+    put(attitude_.linear_accel_mps2, accel_mps2 - kGravityMps2 * matrix_row_z(q),
+        1.0f / ImuAttitude::kLinearAccelMps2Scale, ImuAttitude::kLinearAccelMps2Max);
+  }
+
+  // ---- what is sent
+
+  void report(uint32_t now_us) {
+    using namespace wire;
+    set_flag(kImuFlagFilterReady, settled_ >= nano_imu_config::kSettleSamples);
+    set_flag(kImuFlagRest, filter_.resting());
+    set_flag(kImuFlagMagDisturbed, filter_.magnetically_disturbed());
+    set_flag(kImuFlagCalibrated, is_calibrated_);
+    const uint32_t mag_age_ms = (now_us - mag_us_) / 1000;
+    raw_.mag_age_ms = mag_age_ms < 255 ? static_cast<uint8_t>(mag_age_ms) : 255;
+    attitude_.t_us = raw_.t_us;
+    attitude_.flags = flags_;
+    link_.send(attitude_);
+    raw_pending_ = true;  // goes in a turn in which there is room for it
+    sent_us_ = now_us;
+  }
+
+  void report_stale(uint32_t now_us) {
+    using namespace wire;
+    set_flag(kImuFlagStale, true);
+    set_flag(kImuFlagMagFresh, false);
+    set_flag(kImuFlagAccelOk, false);
+    set_flag(kImuFlagGyroOk, false);
+    report(now_us);
+  }
+
+  void watch_sensor() {
+    switch (sensor_.fault()) {
+      case ImuFault::None:
+        break;
+      case ImuFault::Absent:
+        link_.raise(wire::Fault::kImuAbsent);
+        break;
+      case ImuFault::Bus:
+        link_.raise(wire::Fault::kImuBus);
+        break;
+      case ImuFault::SelfTest:
+        link_.raise(wire::Fault::kImuSelfTest);
+        break;
+      case ImuFault::Data:
+        link_.raise(wire::Fault::kImuData);
+        break;
+    }
+    sensor_.clear_fault();
+    if (!started_ && sensor_.working()) {
+      started_ = true;
+      link_.started();
+    }
+  }
+
+  Hal& hal_;
+  Link link_;
+  Bno055<Hal> sensor_;
+  fusion::AttitudeFilter filter_;
+  fusion::LowPass<3> turning_;
+  fusion::LowPassGains turning_gains_;
+  fusion::Mat3 mounting_;
+  fusion::Vec3 gyro_bias_, accel_offset_, accel_scale_;
+  PeriodicTask task_;
+  wire::ImuAttitude attitude_ = {0, {wire::ImuAttitude::kQuaternionMax, 0, 0, 0}, {}, {}, {}, 0};
+  wire::ImuRaw raw_ = {};
+  uint32_t fused_us_ = 0, mag_us_ = 0, sent_us_ = 0;
+  uint16_t settled_ = 0, flags_ = 0;
+  bool has_fused_ = false, started_ = false, raw_pending_ = false, is_turned_ = false, is_calibrated_ = false;
+};
+
+}  // namespace tiger
