@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import cos, degrees, exp, pi, radians, sin
+from math import cos, degrees, exp, nan, pi, radians, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,7 +136,7 @@ class World:
         self._wheel_accel_radps2 = [0.0] * 4
         self._wheel_angle_rad = [0.0] * 4
 
-        self._dt_s = 0.0
+        self._dt_s = nan  # no step yet
         self._z = np.zeros(_STATES + 2 * _INPUTS)
         self._state = self._z[:_STATES]  # views of one vector
         self._now = self._z[_STATES : _STATES + _INPUTS]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from tiger.config.vehicle import MechanismConfig, load_vehicle
 from tiger.models.eam import RESIDUAL_LIMIT, Eam, MechanismError
 

@@ -1,0 +1,156 @@
+"""Scenarios: the plate moves as the file says, and a wrong file is told what is wrong."""
+
+from __future__ import annotations
+
+from math import cos, degrees, pi, radians, sin
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tiger.config.errors import ConfigError
+from tiger.emulation.scenarios import PlateAxis, Scenario, load_scenario, scenario_names
+
+HEAD = 'title = "t"\nduration_s = 10.0\n'
+RAMP = '[[plate]]\naxis = "roll"\nat_s = 1.0\nto_deg = 4.0\nover_s = 2.0\n'
+HARMONIC = '[[plate]]\naxis = "pitch"\nat_s = 1.0\namplitude_deg = 2.0\nfrequency_hz = 0.5\n'
+
+
+def write(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    return path
+
+
+def roll(scenario: Scenario, time_s: float) -> float:
+    return degrees(PlateAxis(scenario.segments("roll")).angle_rad(time_s))
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_every_scenario_of_the_package_loads(name: str) -> None:
+    assert load_scenario(name).duration_s > 0.0
+
+
+@pytest.mark.parametrize(
+    ("time_s", "expected_deg"),
+    [
+        (0.0, 0.0),
+        (5.0, 0.0),
+        (5.075, 5.0 * (1 - cos(pi / 4)) / 2),
+        (5.15, 2.5),
+        (5.3, 5.0),
+        (19.99, 5.0),
+        (20.15, 2.5),
+        (20.3, 0.0),
+        (30.0, 0.0),
+        (35.0, 2.0),
+        (40.0, 0.0),
+        (45.0, -2.0),
+        (59.0, 2.0 * sin(2 * pi * 0.05 * 29.0)),
+    ],
+)
+def test_shaking_plate_moves_as_agreed(time_s: float, expected_deg: float) -> None:
+    assert roll(load_scenario("shaking-plate"), time_s) == pytest.approx(expected_deg, abs=1e-9)
+
+
+def test_shaking_plate_does_not_pitch() -> None:
+    plate = PlateAxis(load_scenario("shaking-plate").segments("pitch"))
+    assert all(plate.angle_rad(0.1 * k) == 0.0 for k in range(600))
+
+
+@given(st.floats(0.0, 60.0), st.floats(1e-6, 1e-3))
+def test_shaking_plate_never_jumps(time_s: float, step_s: float) -> None:
+    scenario = load_scenario("shaking-plate")
+    fastest_degps = 5.0 * pi / 2 / 0.3
+    assert (
+        abs(roll(scenario, time_s + step_s) - roll(scenario, time_s)) <= fastest_degps * step_s * 1.01 + 1e-9
+    )
+
+
+def test_a_ramp_starts_where_the_axis_stands(tmp_path: Path) -> None:
+    second = '[[plate]]\naxis = "roll"\nat_s = 4.0\nto_deg = -4.0\nover_s = 1.0\n'
+    scenario = load_scenario(write(tmp_path, HEAD + second + RAMP))  # the order in the file does not matter
+    assert roll(scenario, 3.5) == pytest.approx(4.0)
+    assert roll(scenario, 4.5) == pytest.approx(0.0)
+    assert roll(scenario, 9.0) == pytest.approx(-4.0)
+
+
+def test_a_harmonic_swings_about_where_the_axis_stands_and_ends_there(tmp_path: Path) -> None:
+    harmonic = (
+        '[[plate]]\naxis = "roll"\nat_s = 4.0\namplitude_deg = 1.0\nfrequency_hz = 0.25\n'
+        "phase_deg = 90.0\nfor_s = 2.5\n"
+    )
+    scenario = load_scenario(write(tmp_path, HEAD + RAMP + harmonic))
+    assert roll(scenario, 4.0) == pytest.approx(5.0)
+    assert roll(scenario, 6.0) == pytest.approx(3.0)
+    assert roll(scenario, 6.5) == pytest.approx(4.0)
+    assert roll(scenario, 60.0) == pytest.approx(4.0)
+
+
+def test_the_two_axes_are_apart(tmp_path: Path) -> None:
+    scenario = load_scenario(write(tmp_path, HEAD + RAMP + HARMONIC))
+    pitch = PlateAxis(scenario.segments("pitch"))
+    assert pitch.angle_rad(1.5) == pytest.approx(radians(2.0))
+    assert roll(scenario, 1.0) == 0.0
+
+
+def test_faults_and_start_are_read(tmp_path: Path) -> None:
+    scenario = load_scenario(
+        write(
+            tmp_path,
+            HEAD
+            + "initial_stroke_mm = [0.0, 10.0, 20.0, 70.0]\nsensor_noise = false\n"
+            + '[[fault]]\nat_s = 3.0\ntarget = "nano_imu"\nkind = "silence"\nfor_s = 1.0\n',
+        )
+    )
+    assert scenario.initial_stroke_mm == (0.0, 10.0, 20.0, 70.0)
+    assert not scenario.sensor_noise
+    assert (scenario.fault[0].target, scenario.fault[0].for_s, scenario.fault[0].value) == (
+        "nano_imu",
+        1.0,
+        0.0,
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("duration_s = 1.0\n", "title is missing"),
+        ('title = "t"\nduration_s = -1.0\n', "duration_s = -1.0: input should be greater than 0"),
+        (HEAD + "duration = 3\n", "duration is not a known key"),
+        (HEAD + "initial_stroke_mm = [1.0, 2.0, 3.0]\n", "initial_stroke_mm.3 is missing"),
+        (HEAD + RAMP.replace("roll", "yaw"), "plate.0.axis = 'yaw'"),
+        (HEAD + RAMP.replace("over_s = 2.0\n", ""), "a segment is a ramp"),
+        (HEAD + RAMP + "amplitude_deg = 2.0\n", "a segment is a ramp"),
+        (HEAD + RAMP + "for_s = 2.0\n", "a segment is a ramp"),
+        (
+            HEAD + RAMP.replace("4.0", "90.0"),
+            "plate.0.to_deg = 90.0: input should be less than or equal to 45",
+        ),
+        (HEAD + HARMONIC.replace("0.5", "0.0"), "frequency_hz = 0.0: input should be greater than 0"),
+        (
+            HEAD + RAMP + RAMP.replace("at_s = 1.0", "at_s = 2.5"),
+            "the roll segment at 2.5 s starts before the roll segment at 1 s ends (3 s)",
+        ),
+        (
+            HEAD + HARMONIC + HARMONIC.replace("at_s = 1.0", "at_s = 9.0"),
+            "the pitch segment at 9 s starts before the pitch segment at 1 s ends (inf s)",
+        ),
+        ("title = \n", "not valid TOML"),
+    ],
+)
+def test_a_wrong_file_is_told_its_key_value_and_next_step(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_scenario(write(tmp_path, text))
+    assert said in str(caught.value)
+
+
+def test_an_unknown_name_is_answered_with_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match=r"'earthquake' is not known; use one of .*shaking-plate"):
+        load_scenario("earthquake")
+
+
+def test_a_missing_file_is_a_config_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_scenario(tmp_path / "absent.toml")
