@@ -110,7 +110,8 @@ class LevelingConfig(_Section):
             )
         if self.ride_settle_mm >= self.ride_wake_mm:
             raise ValueError(
-                f"ride_settle_mm = {self.ride_settle_mm} must be below ride_wake_mm = {self.ride_wake_mm}: lower it"
+                f"ride_settle_mm = {self.ride_settle_mm} must be below "
+                f"ride_wake_mm = {self.ride_wake_mm}: lower it"
             )
         return self
 
@@ -129,6 +130,8 @@ class DriveControlConfig(_Section):
     yaw_rate_gain_per_s: NonNegative
     yaw_rate_trim_max_degps: NonNegative
     speed_source: Literal["roboteq", "mega_speed"]
+    wheel_speed_gain_per_s: NonNegative
+    wheel_trim_max_rpm: NonNegative
 
 
 class SafetyConfig(_Section):

@@ -1,16 +1,16 @@
 """Suspension control of the real TIGER: the body's attitude and ride height by stroke rates.
 
-The regime is quasi-static. The body follows its four seats within a tenth of a second while a move takes seconds, so
-the law acts on the pose of the seats (`reachable.Pose`), whose only dynamics are those of the actuators: an
-integrator behind a lag. Three parts, each a function below:
+The regime is quasi-static. The body follows its four seats within a tenth of a second while a move takes
+seconds, so the law acts on the pose of the seats (`reachable.Pose`), whose only dynamics are those of the
+actuators: an integrator behind a lag. Three parts, each a function below:
 
-1. a target in stroke space: the pose that gives the wanted attitude on the present ground, nearest to it if the
-   strokes do not reach so far;
-2. feedback: an LQR for small errors that saturates for large ones, with the ground's turning rate fed forward; on an
-   integrator that is time-optimal but for the last tenth of a second;
-3. allocation: the rates of the four corners, with every actuator within its limits. Attitude goes first and keeps its
-   direction; ride height gives way, so that the actuator with the least lift per stroke does not slow the others down
-   and a corner at its end leaves its work to the other three.
+1. a target in stroke space: the pose that gives the wanted attitude on the present ground, or the nearest one
+   where the strokes do not reach so far;
+2. feedback: an LQR for small errors that saturates for large ones, with the ground's turning rate fed forward;
+   on an integrator that is time-optimal but for the last tenth of a second;
+3. allocation: the rates of the four corners, with every actuator within its limits. Attitude goes first and
+   keeps its direction; ride height gives way, so that the actuator with the least lift per stroke does not slow
+   the others down, and a corner at its end leaves its work to the other three.
 
 A move begins when the error leaves the dead zone and ends near zero error, not at the edge of the zone.
 """
@@ -25,7 +25,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from tiger.control.lqr import dlqr
-from tiger.control.reachable import WARP, Pose, Suspension
+from tiger.control.reachable import Pose, Suspension
 from tiger.record import STILL
 
 if TYPE_CHECKING:
@@ -89,7 +89,8 @@ class Leveling:
 
 
 def design_leveling(robot: RobotConfig) -> LevelingDesign:
-    """Design the gains: minimise (error / angle_weight)^2 + (rate command / rate_weight)^2 over integrator and lag.
+    """Design the gains: minimise (error / angle_weight)^2 + (rate command / rate_weight)^2 over integrator
+    and lag.
 
     The delay to the board counts as lag. Raises MechanismError for a vehicle without a mechanism.
     """
@@ -152,7 +153,7 @@ def _phase(
     ride_error_mm: float,
     dt: float,
 ) -> tuple[bool, float, tuple[float, float]]:
-    """Decide whether to move: hysteresis between leaving the dead zone and arriving near zero on still ground."""
+    """Decide whether to move: from leaving the dead zone until near zero error on still ground."""
     config = design.config
     keep = math.exp(-dt / _STILL_SMOOTHING_S)
     turning = (
@@ -196,9 +197,9 @@ def _allocate(
 ) -> Four:
     """Turn wanted pose rates into four stroke rates within (lowest, highest) mm/s each; 0 lies within each.
 
-    Corner i lifts at (ride + k d_i) with d_i the share of roll, pitch and warp. k <= 1 is the largest scale for which
-    a common ride rate keeps all corners within their limits: for every pair, k (d_j - d_i) <= high_j - low_i. Then the
-    ride rate is the wanted one clipped to what the corners leave.
+    Corner i lifts at (ride + k d_i) with d_i the share of roll, pitch and warp. k <= 1 is the largest scale
+    for which a common ride rate keeps all corners within their limits: for every pair, k (d_j - d_i) <=
+    high_j - low_i. Then the ride rate is the wanted one clipped to what the corners leave.
     """
     tilt = suspension.lifts_mm(Pose(wanted.roll_rad, wanted.pitch_rad, 0.0, wanted.warp_mm))
     low = [m * lo for m, (lo, _) in zip(ratio, limits, strict=True)]
@@ -216,10 +217,8 @@ def _allocate(
     return fl, fr, rl, rr
 
 
-def _rate_limits(
-    design: LevelingDesign, stroke_mm: Four, rate_mmps: Four
-) -> tuple[tuple[float, float], ...]:
-    """Rates each actuator may have: its speed, less where it must brake before the end of the stroke in use."""
+def _rate_limits(design: LevelingDesign, stroke_mm: Four, rate_mmps: Four) -> tuple[tuple[float, float], ...]:
+    """Rates each actuator may have: its speed, or less where it must brake before the end of its range."""
     suspension, brake = design.suspension, design.config.stroke_brake_per_s
     limits = []
     for stroke, rate in zip(stroke_mm, rate_mmps, strict=True):

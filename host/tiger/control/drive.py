@@ -1,8 +1,10 @@
 """From forward speed and yaw rate to four wheel speeds, on the track that the mechanism has now.
 
-Skid steering: the wheel at y_i (left +) runs at v - yaw_rate y_i. The track changes with the strokes (1.20-1.27 m over
-70 mm), and the four contacts scrub, so that the geometric half-tracks are multiplied by one effective-track factor
-(measured by `tiger calibrate wheels`); what that misses, an integral of the gyro's yaw rate makes up for.
+Skid steering: the wheel at y_i (left +) runs at v - yaw_rate y_i. The track changes with the strokes
+(1.20-1.27 m over 70 mm), and the four contacts scrub, so that the geometric half-tracks are multiplied by one
+effective-track factor (measured by `tiger calibrate wheels`); what that misses, an integral of the gyro's yaw
+rate makes up for. The wheel speeds are closed by the Roboteqs on their own sensors or, by choice, by an
+integral on those of mega_speed.
 """
 
 from __future__ import annotations
@@ -52,6 +54,7 @@ class DriveState:
     speed_mps: Ramp = Ramp()
     yaw_rate_radps: Ramp = Ramp()
     yaw_trim_radps: float = 0.0
+    wheel_trim_rpm: Four = STILL
 
 
 def design_drive(robot: RobotConfig) -> DriveDesign:
@@ -92,11 +95,18 @@ def step(
     trim = _yaw_trim(config, state.yaw_trim_radps, speed.value, yaw.value, inputs, dt)
     stroke_mm = inputs.strokes.stroke_mm if inputs.strokes is not None else STILL
     wheel_rpm = wheel_speeds_rpm(design, speed.value, yaw.value + trim, stroke_mm)
-    return DriveState(speed, yaw, trim), wheel_rpm
+    if config.speed_source == "roboteq":
+        return DriveState(speed, yaw, trim), wheel_rpm
+    wheel_trim = _wheel_trim(config, state.wheel_trim_rpm, wheel_rpm, inputs, dt)
+    fl, fr, rl, rr = (
+        min(design.rpm_max, max(-design.rpm_max, rpm + more))
+        for rpm, more in zip(wheel_rpm, wheel_trim, strict=True)
+    )
+    return DriveState(speed, yaw, trim, wheel_trim), (fl, fr, rl, rr)
 
 
 def wheel_speeds_rpm(design: DriveDesign, speed_mps: float, yaw_rate_radps: float, stroke_mm: Four) -> Four:
-    """Return wheel speeds for a motion at given strokes; beyond the limit all are scaled, the curvature stays."""
+    """Return wheel speeds for a motion at given strokes; beyond the limit all shrink, the curvature stays."""
     factor = design.config.effective_track_factor
     wheels = [
         design.rpm_per_mps * (speed_mps - yaw_rate_radps * side * factor * half_track_m(design, stroke))
@@ -120,13 +130,14 @@ def half_track_m(design: DriveDesign, stroke_mm: float) -> float:
 def ramp(now: Ramp, wanted: float, acceleration: float, jerk: float, dt: float) -> Ramp:
     """Bring a value to `wanted` with limited first and second derivative, without overshoot."""
     left = wanted - now.value
-    # The rate from which it can still be brought to zero, at this jerk, within what is left.
-    braking = math.sqrt(2.0 * jerk * abs(left))
+    # The rate from which steps of jerk * dt still bring it to zero within what is left.
+    half = 0.5 * jerk * dt
+    braking = math.sqrt(half * half + 2.0 * jerk * abs(left)) - half
     goal = math.copysign(min(acceleration, braking), left)
     change = min(jerk * dt, max(-jerk * dt, goal - now.rate))
     rate = now.rate + change
     value = now.value + rate * dt
-    if (wanted - value) * left <= 0.0 and abs(rate) <= 2.0 * jerk * dt + abs(left) / dt * 0.0:
+    if (wanted - value) * left <= 0.0 and abs(rate) <= 2.0 * jerk * dt:
         return Ramp(wanted, 0.0)
     return Ramp(value, rate)
 
@@ -140,3 +151,19 @@ def _yaw_trim(
     most = math.radians(config.yaw_rate_trim_max_degps)
     missing = yaw_rate - inputs.imu.rate_radps[2]
     return min(most, max(-most, trim + config.yaw_rate_gain_per_s * missing * dt))
+
+
+def _wheel_trim(
+    config: DriveControlConfig, trim_rpm: Four, wheel_rpm: Four, inputs: Inputs, dt: float
+) -> Four:
+    """Integrate what each wheel misses of its speed on mega_speed's sensors; forget it at a standstill."""
+    left, right = inputs.wheels_left, inputs.wheels_right
+    if left is None or right is None or wheel_rpm == STILL:
+        return STILL
+    measured = (left.speed_radps[0], right.speed_radps[0], left.speed_radps[1], right.speed_radps[1])
+    most, gain = config.wheel_trim_max_rpm, config.wheel_speed_gain_per_s * dt
+    fl, fr, rl, rr = (
+        min(most, max(-most, old + gain * (rpm - _RPM_PER_RADPS * speed)))
+        for old, rpm, speed in zip(trim_rpm, wheel_rpm, measured, strict=True)
+    )
+    return fl, fr, rl, rr

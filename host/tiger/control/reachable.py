@@ -1,8 +1,9 @@
 """What the strokes can reach, and how fast: the geometry of quasi-static attitude control.
 
-Slow self-locking actuators set the static attitude of the body relative to the wheels. A body plane of ride r, roll
-phi and pitch theta needs the lifts r + y_i phi - x_i theta (4.8); the four strokes span a fourth motion, warp, that
-twists the body's seats against each other and moves it nowhere. Lifts are in mm above zero stroke.
+Slow self-locking actuators set the static attitude of the body relative to the wheels. A body plane of ride
+r, roll phi and pitch theta needs the lifts r + y_i phi - x_i theta (4.8); the four strokes span a fourth
+motion, warp, that twists the body's seats against each other and moves it nowhere. Lifts are in mm above zero
+stroke.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suspension:
-    """Geometry, stroke range and speed of the four actuators. Corner positions are in mm from the centre of mass."""
+    """Geometry, stroke range and speed of the four actuators; corners are in mm from the centre of mass."""
 
     curve: LiftCurve
     x_mm: Four
@@ -93,8 +94,8 @@ class Suspension:
     def nearest(self, roll_rad: float, pitch_rad: float) -> tuple[float, float]:
         """Return the reachable roll and pitch relative to the wheels with the least error to those given.
 
-        The reachable set is the rhombus roll/roll_max + pitch/pitch_max <= 1: all four corners of a plane must find
-        their lift in one range. This is the projection on it.
+        The reachable set is the rhombus roll/roll_max + pitch/pitch_max <= 1: all four corners of a plane
+        must find their lift in one range. This is the projection on it.
         """
         span = self.lift_high_mm - self.lift_low_mm
         # Highest and lowest corner of the plane are 2 half_track |roll| + wheelbase |pitch| apart.
@@ -121,10 +122,11 @@ class Suspension:
 
 
 def rate_bound_s(suspension: Suspension, stroke_mm: Four, roll_rad: float, pitch_rad: float) -> float:
-    """Return the least time in which any controller turns the body by roll and pitch from the present strokes.
+    """Return the least time in which any controller turns the body by roll and pitch from the present
+    strokes.
 
-    All that limits it is the actuators' speed and the ends of their stroke: no lag, no delay, ride height free. Pass
-    the turn less the band that counts as arrived. Infinite when the turn is out of reach.
+    All that limits it is the actuators' speed and the ends of their stroke: no lag, no delay, ride height
+    free. Pass the turn less the band that counts as arrived. Infinite when the turn is out of reach.
     """
     lift = tuple(suspension.curve.at(s)[0] for s in stroke_mm)
     tilt = suspension.lifts_mm(Pose(roll_rad, pitch_rad, 0.0))

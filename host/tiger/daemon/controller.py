@@ -4,14 +4,14 @@
     state = initial_state(design)
     state, outputs = step(design, state, inputs, dt)
 
-No clock, no ports, no globals. Observer, suspension and drive are three modules; this file connects them and holds
-the table of modes.
+No clock, no ports, no globals. Observer, suspension and drive are three modules; this file connects them and
+holds the table of modes.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,13 +22,12 @@ from tiger.control.drive import DriveDesign, DriveState
 from tiger.control.reachable import Pose
 from tiger.estimation import attitude_observer as observer
 from tiger.estimation.attitude_observer import ObserverDesign, ObserverState
-from tiger.record import STILL, Command, Estimate, Inputs, Mode, Outputs
+from tiger.record import Command, Estimate, Inputs, Mode, Outputs
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from tiger.config.robot import RobotConfig
-    from tiger.record import StrokeSample
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,8 +46,8 @@ class ControllerState:
     """What a tick leaves to the next."""
 
     observer: ObserverState
-    leveling: LevelingState = LevelingState()
-    drive: DriveState = DriveState()
+    leveling: LevelingState = field(default_factory=LevelingState)
+    drive: DriveState = field(default_factory=DriveState)
     imu_t_s: float = -math.inf
     """Time of the IMU sample last used."""
 
@@ -79,7 +78,7 @@ def step(
     if not inputs.armed or strokes is None or not estimate.ready:
         return ControllerState(observed, imu_t_s=imu_t_s), Outputs(estimate=estimate, reason="not armed")
 
-    target, reason = _target(design, command, estimate, strokes)
+    target, reason = _target(design, command, estimate)
     leveling, levelled = attitude.step(design.leveling, state.leveling, target, strokes.stroke_mm, dt)
     driving, wheel_rpm = drive.step(design.drive, state.drive, command, inputs, dt)
     unreachable = target is not None and target.unreachable
@@ -114,11 +113,19 @@ def _observe(
 # ---- modes --------------------------------------------------
 
 
-def _target(
-    design: ControllerDesign, command: Command, estimate: Estimate, strokes: StrokeSample
-) -> tuple[Target | None, str]:
+def _target(design: ControllerDesign, command: Command, estimate: Estimate) -> tuple[Target | None, str]:
     """Return the target of the command's mode, None to stand still, and what to tell the user."""
-    return _MODES[command.mode](design, command, estimate), str(command.mode)
+    most = design.max_angle_rad
+    roll = min(most, max(-most, command.roll_rad))
+    pitch = min(most, max(-most, command.pitch_rad))
+    mode = _MODES[command.mode]
+    refuse = design.robot.leveling.out_of_reach == "refuse"
+    if refuse and mode.has_attitude and not design.leveling.suspension.reachable(roll, pitch):
+        return None, f"{command.mode}: refused, the strokes do not reach this attitude"
+    target = mode.target(design, replace(command, roll_rad=roll, pitch_rad=pitch), estimate)
+    if target is not None and target.unreachable:
+        return target, f"{command.mode}: out of reach, holding the nearest attitude"
+    return target, str(command.mode)
 
 
 def _hold(design: ControllerDesign, command: Command, estimate: Estimate) -> Target | None:
@@ -153,7 +160,7 @@ def _posed(
     pitch_rad: float,
     turning_radps: tuple[float, float] = (0.0, 0.0),
 ) -> Target:
-    """Target at the nearest reachable attitude, with the wanted ride height as far as the attitude leaves it."""
+    """Target the nearest reachable attitude, at the wanted ride height as far as the attitude leaves it."""
     suspension = design.leveling.suspension
     roll, pitch = suspension.nearest(roll_rad, pitch_rad)
     unreachable = abs(roll - roll_rad) + abs(pitch - pitch_rad) > 1e-9
@@ -166,9 +173,17 @@ def _posed(
     return Target(Pose(roll, pitch, min(max(wanted, lowest), highest)), *turning_radps, unreachable)
 
 
-_MODES: dict[Mode, Callable[[ControllerDesign, Command, Estimate], Target | None]] = {
-    Mode.HOLD: _hold,
-    Mode.LEVEL: _level,
-    Mode.POSE: _pose,
-    Mode.STOW: _stow,
+@dataclass(frozen=True, slots=True)
+class _ModeRow:
+    """What a mode aims at, and whether it takes roll and pitch from the command."""
+
+    target: Callable[[ControllerDesign, Command, Estimate], Target | None]
+    has_attitude: bool
+
+
+_MODES = {
+    Mode.HOLD: _ModeRow(_hold, has_attitude=False),
+    Mode.LEVEL: _ModeRow(_level, has_attitude=True),
+    Mode.POSE: _ModeRow(_pose, has_attitude=True),
+    Mode.STOW: _ModeRow(_stow, has_attitude=False),
 }

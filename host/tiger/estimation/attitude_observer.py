@@ -1,13 +1,14 @@
 """Kalman observer of the real TIGER: body and ground attitude from the IMU and the four measured strokes.
 
-The model is the 7-DOF car (4.9) with the strokes as known inputs: a stroke lifts the spring's upper seat, which is the
-force K lift + C lift_rate at its corner. To its 14 states come the slope of the ground under the wheels (roll, pitch
-and their rates, driven by white acceleration) and the two gyro biases. Heave and warp of the ground leave no trace
-in a single IMU and are no states.
+The model is the 7-DOF car (4.9) with the strokes as known inputs: a stroke lifts the spring's upper seat,
+which is the force K lift + C lift_rate at its corner. To its 14 states come the slope of the ground under the
+wheels (roll, pitch and their rates, driven by white acceleration) and the two gyro biases. Heave and warp of
+the ground leave no trace in a single IMU and are no states.
 
-(4.12)-(4.19) print an observer gain without noise covariances; this is the steady-state Kalman gain of the sampled
-model, designed once at start-up. Every tick predicts. A sample corrects the moment it was taken: it is compared with
-the output predicted for then, and the correction is carried forward to now, which is exact for a linear model.
+(4.12)-(4.19) print an observer gain without noise covariances; this is the steady-state Kalman gain of the
+sampled model, designed once at start-up. Every tick predicts. A sample corrects the moment it was taken: it
+is compared with the output predicted for then, and the correction is carried forward to now, which is exact
+for a linear model.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ _SHOWN = np.array(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObserverDesign:
-    """What `design_observer` computes once. n = 20 states, p = 5 outputs, u = 4 seat forces, h ticks of history."""
+    """What `design_observer` computes once: n = 20 states, p = 5 outputs, 4 seat forces, h ticks of history."""
 
     period_s: float
     transition: Array
@@ -57,7 +58,7 @@ class ObserverDesign:
     feedthrough: Array
     """D (p, 4)."""
     corrections: tuple[Array, ...]
-    """For a sample j ticks old, (n + p j, p): what its innovation adds to the state and to the last j predictions."""
+    """For a sample j ticks old, (n + p j, p): what its innovation adds to the state and to j predictions."""
     at_rest: Array
     """(n, 6): state at rest on a plate of given roll and pitch under given seat forces."""
     spring_npm: Array
@@ -78,7 +79,7 @@ class ObserverState:
 
 
 def design_observer(robot: RobotConfig) -> ObserverDesign:
-    """Sample the model and design the gain. Takes some milliseconds; raises ValueError where no filter exists."""
+    """Sample the model and design the gain, in milliseconds; raises ValueError where no filter exists."""
     noise, period = robot.observer, robot.loop.period_s
     parameters = FullCarParameters.from_config(robot.vehicle)
     model = _augmented(parameters, robot.vehicle.imu_offset_m[:2])
@@ -107,7 +108,9 @@ def design_observer(robot: RobotConfig) -> ObserverDesign:
         carried.append(transition @ carried[-1])
 
     attitude = [_INDEX["roll_rad"], _INDEX["pitch_rad"]]
-    settled = -np.linalg.solve(model.a[:14, :14], np.hstack([model.a[:14, [14, 16]], model.b[:14, :4]]))
+    settled: Array = -np.linalg.solve(
+        model.a[:14, :14], np.hstack([model.a[:14, [14, 16]], model.b[:14, :4]])
+    )
     at_rest = np.zeros((len(_INDEX), 6))
     at_rest[:14], at_rest[14, 0], at_rest[16, 1] = settled, 1.0, 1.0
     return ObserverDesign(
@@ -141,8 +144,8 @@ def step(
 ) -> tuple[ObserverState, Estimate]:
     """Advance by one tick: predict, and correct if there is a new sample.
 
-    lift_m (4,): how far each stroke lifts the spring's seat, from any fixed zero; lift_rate_mps (4,) its rate.
-    A sample `age_s` older than the history is left out.
+    lift_m (4,): how far each stroke lifts the spring's seat, from any fixed zero; lift_rate_mps (4,) its
+    rate. A sample `age_s` older than the history is left out.
     """
     force = design.spring_npm * lift_m + design.damper_nspm * lift_rate_mps
     if not state.ready:
@@ -217,7 +220,7 @@ def _measured(sample: ImuSample) -> Array:
 
 
 def _augmented(parameters: FullCarParameters, imu_xy_m: tuple[float, float]) -> LinearModel:
-    """Build the 20-state model with inputs FORCE (seat forces) and ROAD (what is no slope) and outputs MEASURED."""
+    """Build the 20-state model: inputs FORCE (seat forces) and ROAD (what is no slope), outputs MEASURED."""
     outputs = ("roll_rad", "pitch_rad", "roll_rate_radps", "pitch_rate_radps", "imu_heave_accel_mps2")
     car = full_car(parameters, imu_xy_m).select(inputs=(*FORCE, *ROAD), outputs=outputs)
     n = len(_INDEX)
@@ -234,7 +237,7 @@ def _augmented(parameters: FullCarParameters, imu_xy_m: tuple[float, float]) -> 
 
 
 def _process_noise(robot: RobotConfig, from_road: Array) -> Array:
-    """Covariance that one tick adds, (n, n). The plate's acceleration is white with its sigma over an IMU period."""
+    """Covariance that one tick adds, (n, n); the plate's acceleration is white, its sigma for an IMU period."""
     noise, period = robot.observer, robot.loop.period_s
     process = (noise.ground_noise_mm / 1000.0) ** 2 * from_road @ from_road.T
     density = math.radians(noise.plate_acceleration_degps2) ** 2 / noise.imu_rate_hz
