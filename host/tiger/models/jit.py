@@ -8,7 +8,7 @@ alike: NUMBA_DISABLE_JIT=1 runs the same source as plain Python, some two hundre
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar, cast
+from typing import Any, Protocol, TypeVar, cast
 
 import numba
 import numpy as np
@@ -17,6 +17,14 @@ from numpy.typing import NDArray
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 Record = NDArray[np.void]
+"""Parameters: a structured array of one row."""
+
+
+class Row(Protocol):
+    """One row of a `Record` of floats."""
+
+    def __getattr__(self, name: str) -> float:
+        """Return the field `name`."""
 
 
 def jit(function: _Function) -> _Function:
@@ -37,4 +45,8 @@ def record(dtype: np.dtype[np.void], values: Mapping[str, Any]) -> Record:
     for name in dtype.names or ():
         row[name] = values[name]
     # Interpreted code reads `row.field` only from a record array; compiled code is dispatched faster without.
-    return cast("Record", row.view(np.recarray)) if numba.config.DISABLE_JIT else row
+    return cast("Record", row.view(np.recarray)) if _interpreted() else row
+
+
+def _interpreted() -> bool:
+    return bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined]

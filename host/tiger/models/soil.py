@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiger.models.jit import Record, jit, record
+from tiger.models.jit import Record, Row, jit, record
 
 if TYPE_CHECKING:
     from tiger.config.tire import SoilConfig, TireSetConfig
@@ -69,19 +69,19 @@ def soil_record(soil: SoilConfig | None, tire_set: TireSetConfig, tire: TireConf
 
 
 @jit
-def _bearing(s):  # type: ignore[no-untyped-def]
+def _bearing(s: Row) -> float:
     """Load in N over sinkage^(n + 1/2)."""
     return (3.0 - s.exponent) / 3.0 * s.wheel_width * s.stiffness * sqrt(2.0 * s.wheel_radius)
 
 
 @jit
-def sinkage_of_load(s, load):  # type: ignore[no-untyped-def]
+def sinkage_of_load(s: Row, load: float) -> float:
     """Sinkage z in m that carries a load in N."""
-    return (max(load, 0.0) / _bearing(s)) ** (1.0 / (s.exponent + 0.5))
+    return float((max(load, 0.0) / _bearing(s)) ** (1.0 / (s.exponent + 0.5)))
 
 
 @jit
-def sinkage_of_tire(s, tire_stiffness, compression):  # type: ignore[no-untyped-def]
+def sinkage_of_tire(s: Row, tire_stiffness: float, compression: float) -> float:
     """Sinkage z in m when tyre and soil in series share a compression in m: k (d - z) = W(z).
 
     Newton from above the root: both sides are monotonic. A step that would pass zero is cut to half the way.
@@ -89,7 +89,7 @@ def sinkage_of_tire(s, tire_stiffness, compression):  # type: ignore[no-untyped-
     if compression <= 0.0:
         return 0.0
     bearing, power = _bearing(s), s.exponent + 0.5
-    z = min(compression, (tire_stiffness * compression / bearing) ** (1.0 / power))
+    z = min(compression, float((tire_stiffness * compression / bearing) ** (1.0 / power)))
     for _ in range(_NEWTON_STEPS):
         load = bearing * z**power
         step = (load - tire_stiffness * (compression - z)) / (power * load / z + tire_stiffness)
@@ -100,7 +100,7 @@ def sinkage_of_tire(s, tire_stiffness, compression):  # type: ignore[no-untyped-
 
 
 @jit
-def soil_forces(s, load, sinkage, kappa, tan_alpha):  # type: ignore[no-untyped-def]
+def soil_forces(s: Row, load: float, sinkage: float, kappa: float, tan_alpha: float) -> tuple[float, float]:
     """Shear (F_x, F_y) in N, both opposite to the sliding (kappa, tan alpha as for a tyre)."""
     if load <= 0.0:
         return 0.0, 0.0
@@ -117,13 +117,14 @@ def soil_forces(s, load, sinkage, kappa, tan_alpha):  # type: ignore[no-untyped-
 
 
 @jit
-def compaction_resistance(s, sinkage):  # type: ignore[no-untyped-def]
+def compaction_resistance(s: Row, sinkage: float) -> float:
     """Force in N it takes to press the rut; it acts through the wheel's centre, against its motion."""
-    return s.wheel_width * s.stiffness * sinkage ** (s.exponent + 1.0) / (s.exponent + 1.0)
+    power = s.exponent + 1.0
+    return s.wheel_width * s.stiffness * float(sinkage**power) / power
 
 
 @jit
-def rolling_direction(speed, threshold):  # type: ignore[no-untyped-def]
+def rolling_direction(speed: float, threshold: float) -> float:
     """Smooth sign of a speed in m/s: no chatter at rest."""
     return tanh(speed / threshold)
 

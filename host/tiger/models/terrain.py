@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tiger.models.jit import Record, jit, record
+from tiger.models.jit import Record, Row, jit, record
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class GroundArrays(NamedTuple):
 
 
 @jit
-def _ramp(distance, width):  # type: ignore[no-untyped-def]
+def _ramp(distance: float, width: float) -> tuple[float, float]:
     """Smooth step from 0 at distance 0 to 1 at `width`, and its slope."""
     if distance <= 0.0:
         return 0.0, 0.0
@@ -57,7 +57,7 @@ def _ramp(distance, width):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _window(position, first, last, width):  # type: ignore[no-untyped-def]
+def _window(position: float, first: float, last: float, width: float) -> tuple[float, float]:
     """1 between first and last with smooth flanks of `width` inside, and its slope."""
     up, up_slope = _ramp(position - first, width)
     down, down_slope = _ramp(last - position, width)
@@ -65,7 +65,7 @@ def _window(position, first, last, width):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _cubic(t, a, b, c, d):  # type: ignore[no-untyped-def]
+def _cubic(t: float, a: float, b: float, c: float, d: float) -> tuple[float, float]:
     """Catmull-Rom value and slope at t in [0, 1] between b and c."""
     k1 = 0.5 * (c - a)
     k2 = a - 2.5 * b + 2.0 * c - 0.5 * d
@@ -74,7 +74,7 @@ def _cubic(t, a, b, c, d):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _field(g, heights, x, y):  # type: ignore[no-untyped-def]
+def _field(g: Row, heights: Array, x: float, y: float) -> tuple[float, float, float]:
     """Bicubic value and gradient of the height field; beyond its border the border's height goes on."""
     nx, ny = heights.shape
     u = min(max((x - g.x0) / g.dx, 0.0), nx - 1.0)
@@ -102,7 +102,9 @@ def _field(g, heights, x, y):  # type: ignore[no-untyped-def]
 
 
 @jit
-def ground_at(ground, features, heights, x, y):  # type: ignore[no-untyped-def]
+def ground_at(
+    ground: Record, features: Record, heights: Array, x: float, y: float
+) -> tuple[float, float, float]:
     """(height, d height/dx, d height/dy) of the terrain at one place."""
     g = ground[0]
     height = g.height + x * (g.slope_x + y * g.twist) + y * g.slope_y
@@ -129,7 +131,7 @@ def ground_at(ground, features, heights, x, y):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _sample(ground, features, heights, x, y, out):  # type: ignore[no-untyped-def]
+def _sample(ground: Record, features: Record, heights: Array, x: Array, y: Array, out: Array) -> None:
     for i in range(x.size):
         out[0, i], out[1, i], out[2, i] = ground_at(ground, features, heights, x[i], y[i])
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tiger.models.jit import Record, jit, record
+from tiger.models.jit import Record, Row, jit, record
 
 if TYPE_CHECKING:
     from tiger.config.tire import TireSetConfig
@@ -63,27 +63,27 @@ def tire_record(tire_set: TireSetConfig, tire: TireConfig) -> Record:
 
 
 @jit
-def load_deviation(t, load):  # type: ignore[no-untyped-def]
+def load_deviation(t: Row, load: float) -> float:
     """df_z of eq. 4.E2, held where the coefficients stop being meaningful."""
     return min(load / t.nominal_load, t.load_ratio_max) - 1.0
 
 
 @jit
-def longitudinal_stiffness(t, load):  # type: ignore[no-untyped-def]
+def longitudinal_stiffness(t: Row, load: float) -> float:
     """dF_x/dkappa at zero slip in N (eq. 4.E15)."""
     dfz = load_deviation(t, load)
     return load * (t.pkx1 + t.pkx2 * dfz) * exp(t.pkx3 * dfz)
 
 
 @jit
-def lateral_stiffness(t, load):  # type: ignore[no-untyped-def]
+def lateral_stiffness(t: Row, load: float) -> float:
     """dF_y/dtan(alpha) at zero slip in N, negative (eq. 4.E25; sin(2 atan u) = 2u/(1 + u^2))."""
     ratio = load / (t.pky2 * t.nominal_load)
     return t.pky1 * t.nominal_load * 2.0 * ratio / (1.0 + ratio * ratio)
 
 
 @jit
-def magic_formula(t, load, kappa, tan_alpha):  # type: ignore[no-untyped-def]
+def magic_formula(t: Row, load: float, kappa: float, tan_alpha: float) -> tuple[float, float]:
     """(F_x, F_y) in N at a load > 0 in N and slips (eqs. 4.E9-4.E30 pure, 4.E50-4.E62 combined slip)."""
     dfz = load_deviation(t, load)
 
@@ -104,9 +104,9 @@ def magic_formula(t, load, kappa, tan_alpha):  # type: ignore[no-untyped-def]
 
 
 @jit
-def contact_slip_rates(  # type: ignore[no-untyped-def]
-    t, slip_speed, forward_speed, side_speed, kappa, tan_alpha
-):
+def contact_slip_rates(
+    t: Row, slip_speed: float, forward_speed: float, side_speed: float, kappa: float, tan_alpha: float
+) -> tuple[float, float]:
     """(kappa', tan(alpha)') of the contact's first-order lag (Pacejka 2006, ch. 7.2 and 8.6).
 
     sigma k' = (w r - v_x) - |v_x| k and sigma a' = v_y - |v_x| a. Sliding in place refreshes the contact too,
@@ -120,9 +120,15 @@ def contact_slip_rates(  # type: ignore[no-untyped-def]
 
 
 @jit
-def contact_forces(  # type: ignore[no-untyped-def]
-    t, load, slip_speed, forward_speed, side_speed, kappa, tan_alpha
-):
+def contact_forces(
+    t: Row,
+    load: float,
+    slip_speed: float,
+    forward_speed: float,
+    side_speed: float,
+    kappa: float,
+    tan_alpha: float,
+) -> tuple[float, float]:
     """(F_x, F_y) in N of the lagged slips, plus tread damping that fades with speed (ch. 8.6)."""
     if load <= 0.0:
         return 0.0, 0.0
@@ -134,7 +140,7 @@ def contact_forces(  # type: ignore[no-untyped-def]
 
 
 @jit
-def _forces(tire, load, kappa, tan_alpha, forces):  # type: ignore[no-untyped-def]
+def _forces(tire: Record, load: Array, kappa: Array, tan_alpha: Array, forces: Array) -> None:
     for i in range(load.size):
         if load[i] > 0.0:
             forces[0, i], forces[1, i] = magic_formula(tire[0], load[i], kappa[i], tan_alpha[i])

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tiger.config.tire import load_tire_set
 from tiger.models import vehicle_kernel as kernel
+from tiger.models.full_car import GRAVITY_MPS2
 from tiger.models.jit import Record, record
 from tiger.models.soil import soil_record
 from tiger.models.terrain import FLAT
@@ -32,11 +33,11 @@ if TYPE_CHECKING:
 
     from tiger.config.tire import SoilConfig, TireSetConfig
     from tiger.config.vehicle import VehicleConfig
+    from tiger.models.eam import LiftCurve
     from tiger.models.terrain import Terrain
 
 Array = NDArray[np.float64]
 
-GRAVITY_MPS2 = 9.81
 DEFAULT_STEP_S = 1e-3
 
 
@@ -90,7 +91,7 @@ class Readings:
     """Body rates p, q, r."""
     angular_acceleration_radps2: Array
     specific_force_mps2: Array
-    """What an accelerometer at the IMU's place feels, body axes: +9.81 upward at rest."""
+    """What an accelerometer at the IMU's place feels, body axes: one g upward at rest."""
     wheel_speed_radps: Array
     """Wheel against its carrier: what a gear sensor or a motor counts."""
     wheel_load_n: Array
@@ -144,7 +145,7 @@ class History:
     @property
     def acceleration_mps2(self) -> Array:
         """Acceleration of the COM in body axes, gravity not included (V' + U r - W p in y)."""
-        return self.rates[:, 7:10] + np.cross(self.rate_radps, self.velocity_mps)
+        return np.asarray(self.rates[:, 7:10] + np.cross(self.rate_radps, self.velocity_mps))
 
     @property
     def wheel_load_n(self) -> Array:
@@ -171,7 +172,7 @@ class History:
         """Rollover index (n,): (left - right)/total load, 0 while every wheel is in the air."""
         left, right = self.wheel_load_n[:, ::2].sum(axis=1), self.wheel_load_n[:, 1::2].sum(axis=1)
         total = left + right
-        return np.divide(left - right, total, out=np.zeros_like(total), where=total > 0.0)
+        return np.asarray((left - right) / np.where(total > 0.0, total, 1.0))
 
     @property
     def corner_height_m(self) -> Array:
@@ -324,7 +325,7 @@ class Vehicle:
         rates = np.empty_like(states)
         contacts = np.empty((samples + 1, 4, kernel.CONTACT_FIGURES))
         kernel.run(*self._plant, state.copy(), table, dt_s, steps_per_sample, states, rates, contacts)
-        time = np.arange(samples + 1) * dt_s * steps_per_sample
+        time = np.arange(samples + 1, dtype=np.float64) * (dt_s * steps_per_sample)
         return History(time, states, rates, contacts, self.corners_m)
 
     @property
@@ -415,7 +416,7 @@ def _vehicle_record(config: VehicleConfig, speed_droop: float) -> Record:
     )
 
 
-def _lift_curve(config: VehicleConfig):  # type: ignore[no-untyped-def]
+def _lift_curve(config: VehicleConfig) -> tuple[LiftCurve, float] | None:
     if config.eam is None or config.actuator.kind != "rate":
         return None
     from tiger.models.eam import Eam

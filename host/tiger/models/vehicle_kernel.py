@@ -21,11 +21,14 @@ from __future__ import annotations
 from math import isnan, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tiger.models.jit import jit
+from tiger.models.jit import Record, jit
 from tiger.models.soil import compaction_resistance, rolling_direction, sinkage_of_tire, soil_forces
 from tiger.models.terrain import ground_at
 from tiger.models.tire import contact_forces, contact_slip_rates
+
+Array = NDArray[np.float64]
 
 POSITION_AT, ATTITUDE_AT, VELOCITY_AT, RATE_AT = 0, 3, 7, 10
 STRUT_AT, STRUT_RATE_AT, SPIN_AT, KAPPA_AT, ALPHA_AT = 13, 17, 21, 25, 29
@@ -57,9 +60,19 @@ VEHICLE = np.dtype(
 
 
 @jit
-def derivative(  # type: ignore[no-untyped-def]
-    vehicle, tire, soil, ground, features, heights, state, inputs, lead, out, contact
-):
+def derivative(
+    vehicle: Record,
+    tire: Record,
+    soil: Record,
+    ground: Record,
+    features: Record,
+    heights: Array,
+    state: Array,
+    inputs: Array,
+    lead: float,
+    out: Array,
+    contact: Array,
+) -> None:
     """Write the state's rate to `out` (33,) and the wheels' figures to `contact` (4, 7).
 
     `lead` is the time since the inputs were set: the lift has gone on at its rate since.
@@ -232,9 +245,19 @@ def derivative(  # type: ignore[no-untyped-def]
 
 
 @jit
-def advance(  # type: ignore[no-untyped-def]
-    vehicle, tire, soil, ground, features, heights, state, inputs, dt, steps, contact
-):
+def advance(
+    vehicle: Record,
+    tire: Record,
+    soil: Record,
+    ground: Record,
+    features: Record,
+    heights: Array,
+    state: Array,
+    inputs: Array,
+    dt: float,
+    steps: int,
+    contact: Array,
+) -> None:
     """Move `state` in place by `steps` fourth-order Runge-Kutta steps of `dt`; the inputs are held."""
     k = np.empty((4, STATES))
     trial = np.empty(STATES)
@@ -260,9 +283,21 @@ def advance(  # type: ignore[no-untyped-def]
 
 
 @jit
-def run(  # type: ignore[no-untyped-def]
-    vehicle, tire, soil, ground, features, heights, state, inputs, dt, steps, states, rates, contacts
-):
+def run(
+    vehicle: Record,
+    tire: Record,
+    soil: Record,
+    ground: Record,
+    features: Record,
+    heights: Array,
+    state: Array,
+    inputs: Array,
+    dt: float,
+    steps: int,
+    states: Array,
+    rates: Array,
+    contacts: Array,
+) -> None:
     """Advance by `steps` per row of `inputs` (n, 34); record state, its rate and contacts (n + 1, ...)."""
     n = inputs.shape[0]
     for i in range(n):

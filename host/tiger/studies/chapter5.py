@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiger.config.vehicle import load_vehicle
-from tiger.models.vehicle import GRAVITY_MPS2
+from tiger.models.full_car import GRAVITY_MPS2
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -40,13 +40,14 @@ def run(
     bump_m: float = 0.2,
     bump_length_m: float = 10.0,
     inertia_divisor: float = 10.0,
-    attitude_bandwidth_hz: float = 1.0,
+    attitude_bandwidth_hz: float = 2.0,
+    damper_share_kept: float = 0.4,
     eam: str = "tiger",
     duration_s: float = 4.0,
     dt_s: float = 1e-3,
     progress: Callable[[float], None] | None = None,
 ) -> Report:
-    """Cross the bumps three times and compare; `eam` names the robot whose actuator and mechanism are borrowed.
+    """Cross the bumps three times and compare; `eam` names the robot whose actuator and EAM are borrowed.
 
     Raises ConfigError for an unknown vehicle, ValueError if `vehicle` has no force actuator or `eam` no EAM.
     """
@@ -55,7 +56,7 @@ def run(
         raise ValueError(f"{vehicle} has no force actuator; this study needs actuator.kind = 'force'")
     terrain = double_bump(bump_m, bump_length_m)
     plant = Vehicle(config, terrain)
-    law = AttitudeForces(config, attitude_bandwidth_hz, config.actuator.max_force_n)
+    law = AttitudeForces(config, attitude_bandwidth_hz, damper_share_kept, config.actuator.max_force_n)
     drivers: dict[str, _Suspension] = {
         "passive": _Passive(),
         "active": law,
@@ -94,8 +95,9 @@ def run(
             "bumps": "one period of (1 - cos)/2 each, one after the other, under the left half of the car",
             "speed": "held by equal wheel torques (proportional-integral); no steering, no path control",
             "active": (
-                "ideal forces: roll, pitch and warp parts of the spring and damper forces are cancelled and "
-                f"replaced by a critically damped {attitude_bandwidth_hz:g} Hz return of roll and pitch"
+                "ideal forces: roll, pitch and warp parts of the spring forces, and of all but "
+                f"{damper_share_kept:g} of the damper forces, are cancelled and replaced by a critically "
+                f"damped {attitude_bandwidth_hz:g} Hz return of roll and pitch"
             ),
             "max_force_n": config.actuator.max_force_n,
             "eam": f"the same law through the springs of {eam}'s series actuators and their rate limit",
@@ -155,13 +157,14 @@ class AttitudeForces:
     """Ideal forces that keep roll and pitch level and let the body heave.
 
     Springs and dampers are measured (strut compression and rate); what they do to roll, pitch and warp is
-    taken back, which leaves the body hanging on the mean of the four: the soft heave mode it has anyway. Roll
-    and pitch are then double integrators, returned to level with a bandwidth and critical damping (attitude and
-    rates from the IMU).
+    taken back, which leaves the body hanging on the mean of the four: the soft heave mode it has anyway. A
+    share of the dampers stays, for nothing else damps the wheels' hop. Roll and pitch are then near to double
+    integrators, returned to level with a bandwidth and critical damping (attitude and rates from the IMU).
     """
 
     config: VehicleConfig
     bandwidth_hz: float
+    damper_share_kept: float
     max_force_n: float
     _spring: Array = field(init=False, repr=False)
     _damper: Array = field(init=False, repr=False)
@@ -184,7 +187,8 @@ class AttitudeForces:
 
     def wanted(self, state: Array) -> Array:
         """Forces (4,) before the limit."""
-        passive = self._spring * state[13:17] + self._damper * state[17:21]
+        damper = (1.0 - self.damper_share_kept) * self._damper
+        passive = self._spring * state[13:17] + damper * state[17:21]
         attitude = euler_from_quaternion(state[3:7])[:2]
         omega = 2.0 * np.pi * self.bandwidth_hz
         moments = -self._inertia * (omega**2 * attitude + 2.0 * omega * state[10:12])

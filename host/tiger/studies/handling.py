@@ -2,7 +2,7 @@
 
 The dissertation prescribes the motion and not what causes it, so the study does the same: at every step it
 applies the yaw moment and the longitudinal force at the COM that hold yaw rate and speed, and reports their
-size. The lateral response (acceleration, lag, roll, load transfer) then depends on tyres and suspension alone.
+size. The lateral response (acceleration, lag, roll, load transfer) then depends on tyres and suspension only.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tiger.models.vehicle import GRAVITY_MPS2, Inputs, Vehicle
+from tiger.models.full_car import GRAVITY_MPS2
+from tiger.models.vehicle import Inputs, Vehicle
 from tiger.studies.chapter5 import ASSUMPTIONS, KMH_TO_MPS, load_car, peak, save_panels
 from tiger.studies.report import Report, Row
 
