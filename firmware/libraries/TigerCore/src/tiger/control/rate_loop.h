@@ -1,0 +1,57 @@
+// Rate loop of an actuator: feed-forward, and a PI on what the rate lacks against the actuator's own response.
+#pragma once
+
+#include <stdint.h>
+
+#include "fixed.h"
+
+namespace tiger {
+
+class RateLoop {
+ public:
+  // The duty of `full_speed` is all of it.
+  void set_full_speed(int16_t full_speed) {
+    full_speed_ = full_speed;
+    const uint32_t permille = 65536000ul / static_cast<uint16_t>(full_speed);
+    permille_per_rate_ = static_cast<uint16_t>(permille > UINT16_MAX ? UINT16_MAX : permille);
+  }
+  int16_t full_speed() const { return full_speed_; }
+
+  // Off: remembers nothing but the motion that is left.
+  void rest(int16_t rate) {
+    expected_ = rate;
+    integral_ = 0;
+  }
+
+  // One tick towards `target`, with the observed rate; the drive as the rate it settles at, within the full speed.
+  int16_t step(int16_t target, int16_t rate) {
+    const int16_t lack = minus(expected_, rate);
+    const int32_t wanted = static_cast<int32_t>(target) + lack + (integral_ >> kIntegralShift);
+    const int16_t drive = static_cast<int16_t>(clamp32(wanted, full_speed_));
+    // Back-calculation: what saturation cuts off is taken out of the integral.
+    integral_ += lack + ((drive - wanted) << kBackShift);
+    integral_ = clamp32(integral_, kIntegralLimit);
+    expected_ = saturate16(static_cast<int32_t>(expected_) + scale(minus(drive, expected_), kLagShare));
+    return drive;
+  }
+
+  int16_t duty_permille(int16_t drive) const {
+    const int32_t permille = (static_cast<int32_t>(drive) * permille_per_rate_ + 0x8000) >> 16;
+    return static_cast<int16_t>(clamp32(permille, 1000));
+  }
+
+  int16_t expected() const { return expected_; }
+  int32_t integral() const { return integral_; }
+
+ private:
+  static constexpr uint8_t kIntegralShift = 5;  // 1/32 per tick
+  static constexpr uint8_t kBackShift = 2;      // an eighth of the excess per tick
+  static constexpr int32_t kIntegralLimit = int32_t{3000} << kIntegralShift;
+
+  int16_t full_speed_ = 9400;
+  uint16_t permille_per_rate_ = 6972;
+  int16_t expected_ = 0;  // rate that the drive so far should have brought
+  int32_t integral_ = 0;
+};
+
+}  // namespace tiger
