@@ -292,7 +292,7 @@ class Eam:
         raise MechanismError(
             f"no assembly at stroke {worst:.3f} mm "
             f"(actuator length {self.length_at_zero_stroke_mm + worst:.1f} mm); "
-            "check the [eam] points, or start nearer to the solution"
+            "shorten the stroke, check the [eam] points, or start nearer to the solution"
         )
 
     def _require_assembly(self, strokes: Array, q: Array) -> None:
