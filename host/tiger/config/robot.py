@@ -85,6 +85,7 @@ class LevelingConfig(_Section):
 
     dead_zone_deg: Positive
     wake_deg: Positive
+    patience_degs: Positive
     settle_deg: Positive
     still_degps: Positive
     still_time_s: Positive

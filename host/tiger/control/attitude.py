@@ -6,11 +6,11 @@ actuators: an integrator behind a lag. Three parts, each a function below:
 
 1. a target in stroke space: the pose that gives the wanted attitude on the present ground, or the nearest one
    where the strokes do not reach so far;
-2. feedback: an LQR for small errors that saturates for large ones, with the ground's turning rate fed forward;
+2. feedback: an LQR for small errors that saturates for large ones, with the turning of the ground added;
    on an integrator that is time-optimal but for the last tenth of a second;
 3. allocation: the rates of the four corners, with every actuator within its limits. Attitude goes first and
-   keeps its direction; ride height gives way, so that the actuator with the least lift per stroke does not slow
-   the others down, and a corner at its end leaves its work to the other three.
+   keeps its direction; ride height gives way, so that the actuator with the least lift per stroke does not
+   slow the others down, and a corner at its end leaves its work to the other three.
 
 A move begins when the error leaves the dead zone and ends near zero error, not at the edge of the zone.
 """
@@ -18,7 +18,7 @@ A move begins when the error leaves the dead zone and ends near zero error, not 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 _NEAR_LIMIT_MM = 0.5
 _STILL_SMOOTHING_S = 0.2
+_SOON = 8.0
+"""Waking within this many still times is soon; it is also the most that the still time grows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +62,24 @@ class LevelingDesign:
     lag_s: float
     wake_moving_rad: float
     wake_still_rad: float
+    patience_rads: float
     settle_rad: float
     still_radps: float
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """Resting or moving, and what decides when that changes."""
+
+    moving: bool = False
+    patience_rads: float = 0.0
+    """At rest: the error beyond the dead zone, summed over time."""
+    quiet_s: float = 0.0
+    """How long the error has been small and the ground still (in a move), or how long we have rested."""
+    still_time_s: float = 0.0
+    """How long it must have been so before the next rest."""
+    turning_radps: tuple[float, float] = (0.0, 0.0)
+    """Smoothed roll and pitch rate of the target."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,11 +88,7 @@ class LevelingState:
 
     command_mmps: Four = STILL
     rate_mmps: Four = STILL
-    moving: bool = False
-    quiet_s: float = 0.0
-    """How long the error has been small and the ground still."""
-    turning_radps: tuple[float, float] = (0.0, 0.0)
-    """Smoothed roll and pitch rate of the target."""
+    phase: Phase = field(default_factory=Phase)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +125,7 @@ def design_leveling(robot: RobotConfig) -> LevelingDesign:
         lag_s=lag,
         wake_moving_rad=math.radians(config.dead_zone_deg),
         wake_still_rad=math.radians(config.wake_deg),
+        patience_rads=math.radians(config.patience_degs),
         settle_rad=math.radians(config.settle_deg),
         still_radps=math.radians(config.still_degps),
     )
@@ -131,8 +146,8 @@ def step(
     present = suspension.pose(lift)
     error = (target.pose.roll_rad - present.roll_rad, target.pose.pitch_rad - present.pitch_rad)
     ride_error = target.pose.ride_mm - present.ride_mm
-    moving, quiet_s, turning = _phase(design, state, target, error, ride_error, dt)
-    if moving:
+    phase = _phase(design, state.phase, target, error, ride_error, dt)
+    if phase.moving:
         speed = suspension.pose(tuple(m * v for m, v in zip(ratio, rate, strict=True)))
         wanted = _feedback(design, target, error, ride_error, present.warp_mm, speed)
         limits = _rate_limits(design, stroke_mm, rate)
@@ -140,34 +155,47 @@ def step(
     else:
         goal = STILL
     command = _slewed(design, state.command_mmps, goal, dt)
-    new = LevelingState(command, rate, moving, quiet_s, turning)
-    settled = not moving and command == STILL
-    return new, Leveling(command, error, settled, at_limit)
+    settled = not phase.moving and command == STILL
+    return LevelingState(command, rate, phase), Leveling(command, error, settled, at_limit)
 
 
 def _phase(
     design: LevelingDesign,
-    state: LevelingState,
+    last: Phase,
     target: Target,
     error: tuple[float, float],
     ride_error_mm: float,
     dt: float,
-) -> tuple[bool, float, tuple[float, float]]:
-    """Decide whether to move: from leaving the dead zone until near zero error on still ground."""
+) -> Phase:
+    """Decide whether to move: from having left the dead zone until near zero error on still ground.
+
+    A move begins when the error beyond the zone has summed up to the patience: at once when it is large, not
+    at all when the ground shook and is back. Ground that wakes us again soon after we rested will do so again:
+    each time we wait twice as long before the next rest.
+    """
     config = design.config
     keep = math.exp(-dt / _STILL_SMOOTHING_S)
     turning = (
-        keep * state.turning_radps[0] + (1.0 - keep) * target.roll_rate_radps,
-        keep * state.turning_radps[1] + (1.0 - keep) * target.pitch_rate_radps,
+        keep * last.turning_radps[0] + (1.0 - keep) * target.roll_rate_radps,
+        keep * last.turning_radps[1] + (1.0 - keep) * target.pitch_rate_radps,
     )
     still = max(abs(turning[0]), abs(turning[1])) < design.still_radps
     worst = max(abs(error[0]), abs(error[1]))
-    if not state.moving:
-        wake = design.wake_still_rad if still else design.wake_moving_rad
-        return worst > wake or abs(ride_error_mm) > config.ride_wake_mm, 0.0, turning
-    arrived = worst < design.settle_rad and abs(ride_error_mm) < config.ride_settle_mm
-    quiet_s = state.quiet_s + dt if still and arrived else 0.0
-    return quiet_s < config.still_time_s, quiet_s, turning
+    if last.moving:
+        arrived = worst < design.settle_rad and abs(ride_error_mm) < config.ride_settle_mm
+        quiet_s = last.quiet_s + dt if still and arrived else 0.0
+        if quiet_s < last.still_time_s:
+            return Phase(True, 0.0, quiet_s, last.still_time_s, turning)
+        return Phase(False, 0.0, 0.0, last.still_time_s, turning)
+    zone = design.wake_still_rad if still else design.wake_moving_rad
+    patience = max(0.0, last.patience_rads + (worst - zone) * dt)
+    wake = patience > design.patience_rads or abs(ride_error_mm) > config.ride_wake_mm
+    if not wake:
+        return Phase(False, patience, last.quiet_s + dt, last.still_time_s, turning)
+    still_time_s = config.still_time_s
+    if last.quiet_s < _SOON * still_time_s:
+        still_time_s = min(max(2.0 * last.still_time_s, still_time_s), _SOON * still_time_s)
+    return Phase(True, 0.0, 0.0, still_time_s, turning)
 
 
 def _feedback(

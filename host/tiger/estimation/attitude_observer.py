@@ -46,7 +46,7 @@ _SHOWN = np.array(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObserverDesign:
-    """What `design_observer` computes once: n = 20 states, p = 5 outputs, 4 seat forces, h ticks of history."""
+    """What `design_observer` computes once: n = 20 states, p = 5 outputs, h ticks of history."""
 
     period_s: float
     transition: Array
@@ -108,9 +108,7 @@ def design_observer(robot: RobotConfig) -> ObserverDesign:
         carried.append(transition @ carried[-1])
 
     attitude = [_INDEX["roll_rad"], _INDEX["pitch_rad"]]
-    settled: Array = -np.linalg.solve(
-        model.a[:14, :14], np.hstack([model.a[:14, [14, 16]], model.b[:14, :4]])
-    )
+    settled = np.linalg.solve(-model.a[:14, :14], np.hstack([model.a[:14, [14, 16]], model.b[:14, :4]]))
     at_rest = np.zeros((len(_INDEX), 6))
     at_rest[:14], at_rest[14, 0], at_rest[16, 1] = settled, 1.0, 1.0
     return ObserverDesign(
@@ -123,7 +121,7 @@ def design_observer(robot: RobotConfig) -> ObserverDesign:
         at_rest=at_rest,
         spring_npm=parameters.spring_npm(),
         damper_nspm=parameters.damper_nspm(),
-        nominal=settled[attitude, 2:],
+        nominal=np.asarray(settled[attitude, 2:]),
         sigma_rad=float(np.sqrt(np.diag(filtered.posterior)[attitude].max())),
     )
 
@@ -237,7 +235,7 @@ def _augmented(parameters: FullCarParameters, imu_xy_m: tuple[float, float]) -> 
 
 
 def _process_noise(robot: RobotConfig, from_road: Array) -> Array:
-    """Covariance that one tick adds, (n, n); the plate's acceleration is white, its sigma for an IMU period."""
+    """Covariance that one tick adds, (n, n). The plate's acceleration has its sigma per IMU period."""
     noise, period = robot.observer, robot.loop.period_s
     process = (noise.ground_noise_mm / 1000.0) ** 2 * from_road @ from_road.T
     density = math.radians(noise.plate_acceleration_degps2) ** 2 / noise.imu_rate_hz
