@@ -14,12 +14,12 @@ ADC_COUNTS = 1024
 
 @dataclass(frozen=True, slots=True)
 class Potentiometer:
-    """Wiper voltage against stroke. Chosen values: the wiper uses the middle 96 % of the supply."""
+    """Wiper voltage against stroke. Chosen values: the wiper uses the middle 90 % of the supply."""
 
     stroke_max_mm: float
     supply_v: float = 5.0
-    volts_at_zero_stroke: float = 0.1
-    volts_at_full_stroke: float = 4.9
+    volts_at_zero_stroke: float = 0.25
+    volts_at_full_stroke: float = 4.75
     noise_v: float = 0.002
     nonlinearity: float = 0.0
     """Greatest deviation from the straight line, as a share of the stroke (one sine over the stroke)."""
