@@ -11,4 +11,7 @@ void setup() {
   board.begin();
 }
 
-void loop() { board.poll(); }
+void loop() {
+  hal.mark_turn();
+  board.poll();
+}

@@ -14,11 +14,13 @@ class VirtualWheel {
  public:
   enum Fault : uint8_t { kDeadA = 1, kDeadB = 2, kSwapped = 4 };
 
-  void set_target(double phase_teeth) {
-    target_ = phase_teeth;
-    if (!placed_) phase_ = phase_teeth;
-    placed_ = true;
+  void place(double phase_teeth) {
+    phase_ = target_ = phase_teeth;
+    quarter_ = static_cast<int64_t>(floor(phase_teeth * kEdgesPerTooth));
+    is_placed_ = true;
   }
+  bool is_placed() const { return is_placed_; }
+  void set_target(double phase_teeth) { target_ = phase_teeth; }
   void set_faults(uint8_t faults) { faults_ = faults; }
 
   void begin_run(uint64_t now_ns, uint32_t us) {
@@ -63,7 +65,7 @@ class VirtualWheel {
   uint64_t start_ns_ = 0;
   int64_t quarter_ = 0;
   uint8_t faults_ = 0;
-  bool placed_ = false;
+  bool is_placed_ = false;
 };
 
 class SpeedHal : public NativeHal {
@@ -98,7 +100,16 @@ class SpeedHal : public NativeHal {
     for (VirtualWheel& wheel : wheels_) wheel.end_run();
   }
 
-  VirtualWheel& wheel(uint8_t channel) { return wheels_[channel < kWheels ? channel : 0]; }
+  void set_phase(uint8_t channel, double phase_teeth) {
+    VirtualWheel& wheel = wheels_[channel];
+    if (wheel.is_placed()) {
+      wheel.set_target(phase_teeth);
+    } else {
+      wheel.place(phase_teeth);
+      decoders_[channel].begin(wheel.pins());
+    }
+  }
+  void set_faults(uint8_t channel, uint8_t faults) { wheels_[channel].set_faults(faults); }
 
   // The interrupt with these pins, now: for edges no gear makes.
   void interrupt(uint8_t channel, uint8_t pins) { decoders_[channel].on_edge(pins, ticks_at(now_ns_)); }

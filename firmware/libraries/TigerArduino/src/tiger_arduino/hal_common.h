@@ -21,6 +21,9 @@ static Clock board_clock;
 
 class HalCommon {
  public:
+  // First thing in a turn of the main loop: one cycle, by which the simulator measures turns.
+  void mark_turn() { GPIOR0 = 0; }
+
   uint32_t micros() { return board_clock.micros(); }
   uint32_t millis() { return board_clock.millis(); }
 
@@ -32,6 +35,13 @@ class HalCommon {
   uint8_t reset_cause() { return saved_mcusr; }
   FaultRecord& fault_record() { return arduino::fault_record; }
   uint16_t ram_free_bytes() { return stack_.free_bytes(); }
+
+ protected:
+  // Last thing in a board's begin(): the first look at the stack takes some milliseconds.
+  void start_watching() {
+    stack_.free_bytes();
+    watchdog_start();
+  }
 
  private:
   StackMargin stack_;

@@ -28,7 +28,7 @@ class MegaSpeedHal : public HalCommon {
     EICRB = _BV(ISC40) | _BV(ISC50);
     EIFR = _BV(INTF2) | _BV(INTF3) | _BV(INTF4) | _BV(INTF5);
     EIMSK = _BV(INT2) | _BV(INT3) | _BV(INT4) | _BV(INT5);
-    watchdog_start();
+    start_watching();
   }
 
   bool host_read(uint8_t& byte) { return host_uart.read(byte); }

@@ -28,7 +28,7 @@ class MegaSuspensionHal : public HalCommon {
     host_uart.begin(wire::kBaudSuspensionUsb);
     peer_uart.begin(wire::kBaudNanoSerial);
     pot_sampler.begin();
-    watchdog_start();
+    start_watching();
   }
 
   bool host_read(uint8_t& byte) { return host_uart.read(byte); }

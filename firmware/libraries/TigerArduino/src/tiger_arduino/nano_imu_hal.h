@@ -23,7 +23,7 @@ class NanoImuHal : public HalCommon {
     mega_uart.begin(wire::kBaudNanoSerial);
     twi_master.begin();
     supply_.begin();
-    watchdog_start();
+    start_watching();
   }
 
   bool host_read(uint8_t& byte) { return mega_uart.read(byte); }

@@ -160,7 +160,7 @@ class MegaSpeed : public BoardHooks {
   void send(uint32_t now_us) {
     wire::WheelSpeed message;
     message.t_us = now_us;
-    message.flags = 0;
+    uint16_t flags = 0;
     for (uint8_t i = 0; i < kWheels; ++i) {
       const WheelSpeed& wheel = wheels_[i];
       const int32_t speed = in_wire_counts(wheel.speed_radps());
@@ -168,12 +168,13 @@ class MegaSpeed : public BoardHooks {
       message.speed_radps[i] = speed;
       message.edge_age_ms[i] = wheel.edge_age_ms();
       message.illegal_counts[i] = wheel.illegal_counts();
-      set(message.flags, wire::kWheelFlagStopped, i, wheel.stopped());
-      set(message.flags, wire::kWheelFlagReverse, i, speed < 0);
-      set(message.flags, wire::kWheelFlagDeadChannel, i, diagnosis_[i].dead());
-      set(message.flags, wire::kWheelFlagSwapped, i, opposite_edges_ >= speed_config::kOppositeEdges);
-      set(message.flags, wire::kWheelFlagPitchLearned, i, wheel.pitch_learned());
+      set(flags, wire::kWheelFlagStopped, i, wheel.stopped());
+      set(flags, wire::kWheelFlagReverse, i, speed < 0);
+      set(flags, wire::kWheelFlagDeadChannel, i, diagnosis_[i].dead());
+      set(flags, wire::kWheelFlagSwapped, i, opposite_edges_ >= speed_config::kOppositeEdges);
+      set(flags, wire::kWheelFlagPitchLearned, i, wheel.pitch_learned());
     }
+    message.flags = flags;
     link_.send(message);
   }
 

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The real images in simavr, and a host that talks to them in frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+import build_simavr
+from tiger.protocol import messages as wire
+from tiger.protocol.frame import FrameDecoder, encode_message
+
+HZ = 16_000_000
+CYCLES_PER_MS = HZ // 1000
+QUANTUM_CYCLES = 200  # below the 640 cycles a byte takes on the Nano's wire
+IMAGES = build_simavr.ROOT / "build" / "firmware"
+MCU = {"mega_suspension": "atmega2560", "nano_imu": "atmega328p", "mega_speed": "atmega2560"}
+KIND = {name: wire.BoardKind[name.upper()] for name in MCU}
+Answer = TypeVar("Answer", bound=wire.Message)
+_simavr = build_simavr.load()
+_ffi, _lib = _simavr.ffi, _simavr.lib
+
+
+class Isr(NamedTuple):
+    """How often an interrupt ran, and its cycles with entry and return."""
+
+    count: int
+    mean_cycles: float
+    max_cycles: int
+
+
+class Pin(NamedTuple):
+    """What a watched pin did since the watch began."""
+
+    rises: int
+    falls: int
+    high_cycles: int
+    last_change: int
+    level: int
+
+
+class Turns(NamedTuple):
+    """Turns of the main loop, in cycles."""
+
+    count: int
+    min_cycles: int
+    max_cycles: int
+    total_cycles: int
+
+    @property
+    def load(self) -> float:
+        """Share of the time that is more than idle turns."""
+        return 1.0 - self.count * self.min_cycles / self.total_cycles
+
+
+class Board:
+    """One AVR with its image, powered on at cycle 0."""
+
+    def __init__(self, name: str, image: Path | None = None) -> None:
+        self.name = name
+        path = image or IMAGES / f"{name}.elf"
+        self._board = _lib.avr_board_new(MCU[name].encode(), str(path).encode())
+        if self._board == _ffi.NULL:
+            raise FileNotFoundError(f"{path}: build it with `make firmware`")
+        self._bytes = _ffi.new("uint8_t[]", 65536)
+        self._stamps = _ffi.new("uint64_t[]", 65536)
+
+    def close(self) -> None:
+        """Free the simulated chip."""
+        _lib.avr_board_free(self._board)
+
+    @property
+    def cycle(self) -> int:
+        """CPU cycles since power-on."""
+        return int(_lib.avr_board_cycle(self._board))
+
+    @property
+    def resets(self) -> int:
+        """Resets since power-on."""
+        return int(_lib.avr_board_resets(self._board))
+
+    @property
+    def last_reset(self) -> int:
+        """Cycle of the last reset."""
+        return int(_lib.avr_board_last_reset(self._board))
+
+    def run_ms(self, ms: float) -> None:
+        """Let time pass."""
+        run([self], ms)
+
+    def reset(self, *, power_on: bool = False) -> None:
+        """Press the reset button, or switch off and on."""
+        _lib.avr_board_reset(self._board, power_on)
+
+    def hang(self, *, interrupts_off: bool = False) -> None:
+        """Let the program stop in a loop of one instruction until the next reset."""
+        _lib.avr_board_hang(self._board, interrupts_off)
+
+    def send(self, data: bytes, port: int = 0, at: int = 0) -> None:
+        """Bytes on the receive line, one after the other, not before cycle `at`."""
+        _lib.avr_uart_send(self._board, port, data, len(data), at)
+
+    def receive(self, port: int = 0) -> bytes:
+        """Bytes the program has sent since the last call."""
+        n = _lib.avr_uart_receive(self._board, port, self._bytes, self._stamps, 65536)
+        return bytes(_ffi.buffer(self._bytes, n))
+
+    def overruns(self, port: int = 0) -> int:
+        """Received bytes lost because the program did not fetch them in time."""
+        return int(_lib.avr_uart_overruns(self._board, port))
+
+    def connect(self, port: int, other: Board, other_port: int) -> None:
+        """Cross two UARTs."""
+        _lib.avr_uart_connect(self._board, port, other._board, other_port)
+
+    def adc(self, channel: int, code: int) -> None:
+        """What the ADC reads on a channel, 0 to 1023."""
+        _lib.avr_adc_code(self._board, channel, code)
+
+    def pin(self, name: str, level: int, at: int | None = None) -> None:
+        """Drive an input such as "E4", now or at a cycle (in order of time)."""
+        if at is None:
+            _lib.avr_pin_set(self._board, name[0].encode(), int(name[1]), level)
+        else:
+            _lib.avr_pin_at(self._board, at, name[0].encode(), int(name[1]), level)
+
+    def watch(self, name: str) -> int:
+        """Begin to watch a pin such as "B5"; `watched` reads it."""
+        return int(_lib.avr_pin_watch(self._board, name[0].encode(), int(name[1])))
+
+    def watched(self, watch: int) -> Pin:
+        """What a watched pin did."""
+        pin = _lib.avr_pin_read(self._board, watch)
+        return Pin(pin.rises, pin.falls, pin.high_cycles, pin.last_change, pin.level)
+
+    def isr(self, vector: int) -> Isr:
+        """Statistics of an interrupt since the last `clear_statistics`."""
+        isr = _lib.avr_isr_read(self._board, vector)
+        return Isr(isr.count, isr.total_cycles / max(isr.count, 1), isr.max_cycles)
+
+    def turns(self) -> Turns:
+        """Statistics of the main loop since the last `clear_statistics`."""
+        turns = _lib.avr_turns_read(self._board)
+        return Turns(turns.turns, turns.min_cycles, turns.max_cycles, turns.total_cycles)
+
+    def clear_statistics(self) -> None:
+        """Begin counting afresh."""
+        _lib.avr_isr_clear(self._board)
+        _lib.avr_turns_clear(self._board)
+
+    def eeprom(self, offset: int, n: int) -> bytes:
+        """Bytes of the EEPROM."""
+        _lib.avr_eeprom(self._board, 0, offset, self._bytes, n)
+        return bytes(_ffi.buffer(self._bytes, n))
+
+    def write_eeprom(self, offset: int, data: bytes) -> None:
+        """Overwrite bytes of the EEPROM behind the program's back."""
+        _lib.avr_eeprom(self._board, 1, offset, data, len(data))
+
+    def peek(self, address: int) -> int:
+        """A byte of the data space."""
+        return int(_lib.avr_peek(self._board, address))
+
+    def poke(self, address: int, value: int) -> None:
+        """Change a byte of the data space."""
+        _lib.avr_poke(self._board, address, value)
+
+    def add_bno055(self, address: int = 0x28) -> None:
+        """Put the sensor's model on the two-wire bus."""
+        _lib.avr_twi_add_bno055(self._board, address)
+
+
+def run(boards: Iterable[Board], ms: float) -> None:
+    """Let time pass for boards that are wired together, in lock-step."""
+    together = list(boards)
+    pointers = _ffi.new("avr_board *[]", [board._board for board in together])
+    until = min(board.cycle for board in together) + round(ms * CYCLES_PER_MS)
+    state = _lib.avr_board_run(pointers, len(together), until, QUANTUM_CYCLES)
+    if state != 0:
+        raise RuntimeError(f"the simulated program crashed (simavr state {state})")
+
+
+@dataclass
+class Host:
+    """The host's end of one board's wire."""
+
+    boards: list[Board]
+    kinds: tuple[wire.BoardKind, ...]
+    seq: int = 0
+    log: list[wire.Message] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        known: dict[int, type[wire.Message]] = {}
+        for kind in self.kinds:
+            known |= wire.FROM_BOARD[kind]
+        self.decoder = FrameDecoder(known)
+
+    @property
+    def board(self) -> Board:
+        """The board at the other end of the wire."""
+        return self.boards[0]
+
+    def say(self, message: wire.Message) -> int:
+        """Queue a message; its sequence number."""
+        seq = self.seq
+        self.board.send(encode_message(message, seq))
+        self.seq = (seq + 1) & 0xFF
+        return seq
+
+    def listen(self, ms: float) -> list[wire.Message]:
+        """Let time pass and return what came meanwhile."""
+        run(self.boards, ms)
+        heard = [received.message for received in self.decoder.feed(self.board.receive())]
+        self.log += heard
+        return heard
+
+    def ask(self, message: wire.Message, answer: type[Answer], ms: float = 20) -> Answer:
+        """Say something and return the last answer of that type."""
+        self.say(message)
+        heard = [m for m in self.listen(ms) if isinstance(m, answer)]
+        assert heard, f"{self.board.name} did not answer {message} with {answer.__name__} in {ms} ms"
+        return heard[-1]
