@@ -195,7 +195,7 @@ class Vehicle:
         terrain: Terrain = FLAT,
         tire_set: TireSetConfig | None = None,
         soil: SoilConfig | None = None,
-        speed_droop: float = 0.05,
+        speed_droop: float = 0.01,
     ) -> None:
         """Prepare `config` for compiled stepping; without `soil` the terrain is a road.
 
