@@ -205,7 +205,7 @@ def burst(frame: bytes, rng: random.Random) -> bytes:
 
 # class of damage, and the share of damaged frames that may be accepted: the published table and some room
 CLASSES: dict[str, tuple[Callable[[bytes, random.Random], bytes], float]] = {
-    "3 bits": (lambda f, r: flip(f, *r.sample(range(len(f) * 8), 3)), 1e-6),
+    "3 bits": (lambda f, r: flip(f, *r.sample(range(len(f) * 8), 3)), 1e-5),
     "4 bits": (lambda f, r: flip(f, *r.sample(range(len(f) * 8), 4)), 6e-5),
     "burst of 2 to 6 bytes": (burst, 3e-5),
     "2 to 8 bytes dropped": (drop_some, 1e-5),

@@ -1,0 +1,433 @@
+"""One Roboteq HBL2360: two motors behind an ASCII line, without a port and without a clock.
+
+Bytes from the port go into `feed`, bytes for it come out of `outgoing`. One exchange is under way at a time:
+what the controller echoes is compared with what was sent, its answer is matched by name against a strict
+grammar, and what does not come within the deadline is asked again. (Advanced Digital Motor Controllers User
+Manual v1.8.)
+
+The trap this driver must defuse: when the controller's watchdog has stopped the motors, the next valid
+command makes BOTH run on at the speed they had. So after any gap the first commands are zeros for both
+motors, in one write, and no other speed is sent until those are confirmed and `release` was called again.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum, IntFlag
+
+from tiger.record import DriveSample, Problem, ProblemKind
+
+BAUD = 115_200
+DEADLINE_S = 0.020  # of one exchange
+LINE_LIMIT = 64
+NO_ANSWER_AFTER_S = 1.0
+RETRY_S = 0.1  # pause between attempts to configure
+RPM_LIMIT = 65_000  # of !S
+GAP_SHARE = 0.8  # of the watchdog's time without a confirmed command counts as a gap
+FAULTS_IN_A_ROW = 2  # readings of a flag before it is believed: the line has no checksum
+
+
+class FaultFlag(IntFlag):
+    """Bits of ?FF."""
+
+    OVERHEAT = 1
+    OVERVOLTAGE = 2
+    UNDERVOLTAGE = 4
+    SHORT_CIRCUIT = 8
+    EMERGENCY_STOP = 16
+    MOTOR_SENSOR = 32
+    MOSFET = 64
+    DEFAULT_CONFIG = 128
+
+
+class StatusFlag(IntFlag):
+    """Bits of ?FS."""
+
+    SERIAL_MODE = 1
+    PULSE_MODE = 2
+    ANALOG_MODE = 4
+    POWER_STAGE_OFF = 8
+    STALL = 16
+    AT_LIMIT = 32
+    SCRIPT_RUNNING = 128
+
+
+class MotorFlag(IntFlag):
+    """Bits of ?FM, per motor."""
+
+    AMPS_LIMIT = 1
+    STALLED = 2
+    LOOP_ERROR = 4
+    SAFETY_STOP = 8
+    FORWARD_LIMIT = 16
+    REVERSE_LIMIT = 32
+    AMPS_TRIGGER = 64
+
+
+MOTOR_FAULTS = MotorFlag.STALLED | MotorFlag.LOOP_ERROR | MotorFlag.SAFETY_STOP
+
+REMEDY = {
+    FaultFlag.OVERHEAT: "Let it cool.",
+    FaultFlag.OVERVOLTAGE: "Check the battery's voltage and that it takes the braking current.",
+    FaultFlag.UNDERVOLTAGE: "Charge the battery.",
+    FaultFlag.SHORT_CIRCUIT: "Check the motor phases for a short before switching it on again.",
+    FaultFlag.EMERGENCY_STOP: "Make the robot safe, release the button, then clear the faults.",
+    FaultFlag.MOTOR_SENSOR: "Check the Hall sensors' plugs.",
+    FaultFlag.MOSFET: "Replace the controller.",
+    FaultFlag.DEFAULT_CONFIG: "It lost its configuration: load the robot's with the maker's tool.",
+}
+
+
+def decode_flags(flags: int, kind: type[IntFlag]) -> list[str]:
+    """Names of the bits that are set; a bit this program does not know is `bit N`."""
+    known = {flag.value: (flag.name or "").lower().replace("_", " ") for flag in kind}
+    return [known.get(1 << bit, f"bit {bit}") for bit in range(16) if flags & (1 << bit)]
+
+
+class Phase(Enum):
+    """Where the driver stands."""
+
+    CONFIGURING = "configuring"  # echo on, watchdog set and read back
+    ZEROING = "zeroing"  # zeros sent after a gap, not confirmed yet
+    HOLDING = "holding"  # zeros confirmed again and again
+    RUNNING = "running"  # released: follows `command`
+    STOPPED = "stopped"  # emergency stop by command
+
+
+@dataclass(frozen=True, slots=True)
+class _Query:
+    """A query and what a right answer to it looks like."""
+
+    name: str
+    counts: tuple[int, ...]  # how many values it may have
+    low: int
+    high: int
+
+
+_SPEED = _Query("S", (2,), -RPM_LIMIT, RPM_LIMIT)
+_QUERIES = {
+    query.name: query
+    for query in (
+        _SPEED,
+        _Query("A", (2,), -5000, 5000),
+        _Query("BA", (2,), -5000, 5000),
+        _Query("V", (3,), 0, 10_000),
+        _Query("FF", (1,), 0, 0xFFFF),
+        _Query("FS", (1,), 0, 0xFFFF),
+        _Query("FM", (2,), 0, 0xFFFF),
+        _Query("T", (2, 3, 4), -60, 200),
+        _Query("RWD", (1,), 0, 65_000),
+    )
+}
+# One of these follows the speeds in each cycle; the fault flags come every other time.
+_SLOW_QUERIES = ("FF", "A", "FF", "BA", "FF", "V", "FF", "FS", "FF", "FM", "FF", "T")
+_ANSWER = re.compile(rb"([A-Z]{1,4})=(-?[0-9]{1,5}(?::-?[0-9]{1,5}){0,3})")
+_COMMAND_START = b"!?^~"
+
+
+class _Exchange:
+    """Lines sent, and for each its echo and its answer expected back."""
+
+    def __init__(self, lines: list[str], sent_s: float, echo_may_be_off: bool = False) -> None:
+        self.lines = lines
+        self.deadline_s = sent_s + DEADLINE_S
+        self.echo_may_be_off = echo_may_be_off
+        self._place = 0
+        self._echoed = False
+        self.answers: list[tuple[int, ...]] = []
+        self.failed = False
+        self.wrong_echo = False
+
+    @property
+    def done(self) -> bool:
+        return self._place == len(self.lines)
+
+    def hear(self, line: bytes) -> bool:
+        """Take one line; returns whether it belonged here."""
+        sent = self.lines[self._place].encode("ascii")
+        if not self._echoed:
+            if line == sent:
+                self._echoed = True
+                return True
+            if not (self.echo_may_be_off and line in (b"+", b"-")):
+                # Perhaps our command arrived as another one: fail now, so that the right one follows at once.
+                self.wrong_echo = line[:1] in _COMMAND_START and len(line) > 0
+                self.failed = self.wrong_echo
+                return False
+        return self._answer(sent, line)
+
+    def _answer(self, sent: bytes, line: bytes) -> bool:
+        if sent[:1] in b"!^":
+            self.failed = line == b"-"
+            if line not in (b"+", b"-"):
+                return False
+        else:
+            values = _values(sent[1:].decode("ascii"), line)
+            if values is None:
+                self.failed = True
+                return False
+            self.answers.append(values)
+        if not self.failed:
+            self._place += 1
+            self._echoed = False
+        return True
+
+
+def _values(name: str, line: bytes) -> tuple[int, ...] | None:
+    """The numbers of the answer to a query; None unless the line is exactly such an answer."""
+    match = _ANSWER.fullmatch(line)
+    query = _QUERIES[name]
+    if match is None or match[1].decode("ascii") != name:
+        return None
+    values = tuple(int(value) for value in match[2].split(b":"))
+    plausible = len(values) in query.counts and all(query.low <= value <= query.high for value in values)
+    return values if plausible else None
+
+
+class Roboteq:
+    """One controller; see the module's text."""
+
+    def __init__(self, name: str, port: str, watchdog_ms: int, rate_hz: float) -> None:
+        """`name` and `port` are for messages; commands are refreshed at `rate_hz`."""
+        self.name = name
+        self.port = port
+        self.watchdog_ms = watchdog_ms
+        self.period_s = 1.0 / rate_hz
+        self.gap_s = GAP_SHARE * watchdog_ms * 1e-3
+        self.exchanges = 0  # completed
+        self.timeouts = 0
+        self.wrong_echoes = 0
+        self.garbled = 0  # lines that belonged to nothing
+        self.gaps = 0  # times that a released drive lost its commands
+        self.connected(-math.inf)
+
+    def connected(self, now_s: float) -> None:
+        """The port was opened (again): nothing is known, nothing moves."""
+        self.phase = Phase.CONFIGURING
+        self.sample: DriveSample | None = None
+        self.problem: Problem | None = None
+        self.flags: dict[str, int] = {"FF": 0, "FS": 0, "FM1": 0, "FM2": 0}
+        self._opened_s = now_s
+        self._exchange: _Exchange | None = None
+        self._partial = b""
+        self._step = 0
+        self._retry_s = now_s
+        self._wanted_rpm = (0, 0)
+        self._sent_rpm = (0, 0)
+        self._confirmed_s = -math.inf
+        self._heard_s = -math.inf
+        self._motor_due_s = now_s
+        self._queries: deque[str] = deque()
+        self._slow = 0
+        self._values: dict[str, tuple[int, ...]] = {}
+        self._seen: dict[str, tuple[int, int]] = {}  # last reading of a flag word, and how often in a row
+        self._stop = False
+        self._go = False
+
+    # ------------------------------------------------------------------------------------------- what to do
+
+    @property
+    def ready(self) -> bool:
+        """Whether `release` would be obeyed: configured, zeros confirmed, speeds and flags known."""
+        return self.phase is Phase.HOLDING and self.sample is not None and self.problem is None
+
+    @property
+    def answering(self) -> bool:
+        """Whether the controller was configured and answers."""
+        return self.phase is not Phase.CONFIGURING
+
+    def release(self) -> bool:
+        """Let `command` reach the motors, from zero; False when the driver is not ready."""
+        if not self.ready:
+            return False
+        self._wanted_rpm = (0, 0)
+        self.phase = Phase.RUNNING
+        return True
+
+    def hold(self) -> None:
+        """Zeros from now on."""
+        self._wanted_rpm = (0, 0)
+        if self.phase is Phase.RUNNING:
+            self.phase = Phase.ZEROING
+            self._motor_due_s = -math.inf
+
+    def command(self, front_rpm: float, rear_rpm: float) -> None:
+        """Speeds of the two motors; without effect unless released."""
+        if self.phase is Phase.RUNNING:
+            self._wanted_rpm = (_whole_rpm(front_rpm), _whole_rpm(rear_rpm))
+
+    def emergency_stop(self) -> None:
+        """Switch the power stage off (`!EX`) until `clear_stop`."""
+        self._stop, self._go = True, False
+        self._wanted_rpm = (0, 0)
+        self._exchange = None
+
+    def clear_stop(self) -> None:
+        """Take the emergency stop back (`!MG`) once zeros are confirmed; the motors stay at zero."""
+        self._stop = False
+        self._go = True
+        if self.phase is Phase.STOPPED:
+            self.phase = Phase.ZEROING
+
+    # --------------------------------------------------------------------------------------------- receiving
+
+    def feed(self, data: bytes, now_s: float) -> None:
+        """Take bytes that arrived by `now_s`."""
+        *lines, rest = (self._partial + data).replace(b"\n", b"").split(b"\r")
+        self._partial = rest[-LINE_LIMIT:]
+        for line in lines:
+            if line:
+                self._line(line.strip(b" "), now_s)
+
+    def _line(self, line: bytes, now_s: float) -> None:
+        exchange = self._exchange
+        if exchange is None or not exchange.hear(line):
+            self.garbled += 1
+        if exchange is None:
+            return
+        if exchange.failed:
+            self.wrong_echoes += exchange.wrong_echo
+            self._failed(now_s)
+        elif exchange.done:
+            self._exchange = None
+            self.exchanges += 1
+            self._heard_s = now_s
+            self._completed(exchange, now_s)
+
+    def _completed(self, exchange: _Exchange, now_s: float) -> None:
+        first = exchange.lines[0]
+        if self.phase is Phase.CONFIGURING:
+            self._configured(first, exchange, now_s)
+        elif first == "!EX":
+            self.phase, self._stop = Phase.STOPPED, False
+        elif first == "!MG":
+            self._go = False
+        elif first.startswith("!S"):
+            self._confirmed_s = now_s
+            if self.phase is Phase.ZEROING and self._sent_rpm == (0, 0):
+                self.phase = Phase.HOLDING
+        else:
+            self._answered(first[1:], exchange.answers[0], now_s)
+
+    def _configured(self, line: str, exchange: _Exchange, now_s: float) -> None:
+        if line == "~RWD" and exchange.answers[0] != (self.watchdog_ms,):
+            self._step = 0
+            self._retry_s = now_s + RETRY_S
+            self.problem = Problem(
+                ProblemKind.REFUSED,
+                f"{self.name} on {self.port}",
+                f"keeps its watchdog at {exchange.answers[0][0]} ms instead of {self.watchdog_ms} ms",
+                "Check that no script on the controller sets RWD.",
+            )
+            return
+        self._step += 1
+        if self._step == len(self._configuration):
+            self.phase = Phase.ZEROING
+            self.problem = None
+            self._motor_due_s = self._confirmed_s = now_s
+
+    @property
+    def _configuration(self) -> tuple[str, ...]:
+        return ("^ECHOF 0", f"^RWD {self.watchdog_ms}", "~RWD")
+
+    def _answered(self, name: str, values: tuple[int, ...], now_s: float) -> None:
+        self._values[name] = values
+        if name == "FF" or name == "FS":
+            self._believe(name, values[0])
+        elif name == "FM":
+            self._believe("FM1", values[0])
+            self._believe("FM2", values[1])
+        elif name == "S" and {"V", "FF"} <= self._values.keys():
+            self.sample = self._sampled(values, now_s)
+
+    def _believe(self, word: str, flags: int) -> None:
+        last, times = self._seen.get(word, (flags, 0))
+        times = times + 1 if flags == last else 1
+        self._seen[word] = (flags, times)
+        if times >= FAULTS_IN_A_ROW:
+            self.flags[word] = flags
+
+    def _sampled(self, speeds: tuple[int, ...], now_s: float) -> DriveSample:
+        motor = self._values.get("A", (0, 0))
+        battery = self._values.get("BA", (0, 0))
+        temperatures = self._values.get("T")
+        return DriveSample(
+            t_s=now_s,
+            wheel_rpm=(float(speeds[0]), float(speeds[1])),
+            motor_current_a=(motor[0] / 10.0, motor[1] / 10.0),
+            battery_current_a=(battery[0] / 10.0, battery[1] / 10.0),
+            battery_v=self._values["V"][1] / 10.0,
+            controller_temperature_celsius=float(max(temperatures)) if temperatures else None,
+            fault_flags=self.flags["FF"],
+            status_flags=self.flags["FS"],
+        )
+
+    # ----------------------------------------------------------------------------------------------- sending
+
+    def outgoing(self, now_s: float) -> bytes:
+        """The bytes that are due; nothing while an exchange is under way."""
+        self._notice_gap(now_s)
+        if self._exchange is not None:
+            if now_s < self._exchange.deadline_s:
+                return b""
+            self.timeouts += 1
+            self._failed(now_s)
+        lines = self._next(now_s)
+        if not lines:
+            return b""
+        self._exchange = _Exchange(lines, now_s, echo_may_be_off=lines[0].startswith("^ECHOF"))
+        fresh_line = "\r" if self.phase is Phase.CONFIGURING and self._step == 0 else ""
+        return (fresh_line + "".join(f"{line}\r" for line in lines)).encode("ascii")
+
+    def _next(self, now_s: float) -> list[str]:
+        """The lines to send now."""
+        if self.phase is Phase.CONFIGURING:
+            return [self._configuration[self._step]] if now_s >= self._retry_s else []
+        if self._stop:
+            return ["!EX"]
+        if now_s >= self._motor_due_s:
+            self._plan_cycle(now_s)
+            self._sent_rpm = self._wanted_rpm
+            return [f"!S {channel} {rpm}" for channel, rpm in enumerate(self._sent_rpm, start=1)]
+        if self._go and self.phase is Phase.HOLDING:
+            return ["!MG"]
+        return [f"?{self._queries.popleft()}"] if self._queries else []
+
+    def _plan_cycle(self, now_s: float) -> None:
+        """The next command comes a period later; until then there is time for two queries."""
+        due_s = self._motor_due_s + self.period_s
+        self._motor_due_s = due_s if due_s > now_s else now_s + self.period_s
+        self._queries = deque(("S", _SLOW_QUERIES[self._slow]))
+        self._slow = (self._slow + 1) % len(_SLOW_QUERIES)
+
+    def _failed(self, now_s: float) -> None:
+        """An exchange failed: commands are repeated at once, everything else in its turn."""
+        exchange, self._exchange = self._exchange, None
+        if exchange is not None and exchange.lines[0].startswith("!S"):
+            self._motor_due_s = now_s
+        if self.phase is not Phase.CONFIGURING:
+            return
+        self._step = 0
+        self._retry_s = now_s + RETRY_S
+        if self.problem is None and now_s - max(self._opened_s, self._heard_s) > NO_ANSWER_AFTER_S:
+            self.problem = Problem(
+                ProblemKind.NO_ANSWER,
+                f"{self.name} on {self.port}",
+                "does not answer",
+                "Check its power, its cable, that it is the controller's RS-232 or USB port, and its path "
+                "under [ports].",
+            )
+
+    def _notice_gap(self, now_s: float) -> None:
+        """Without confirmed commands its watchdog may have stopped the motors, or it lost power: begin anew."""
+        if self.phase is Phase.CONFIGURING or now_s - self._confirmed_s < self.gap_s:
+            return
+        self.gaps += self.phase is Phase.RUNNING
+        self.connected(now_s)
+
+
+def _whole_rpm(rpm: float) -> int:
+    return round(min(max(rpm, -RPM_LIMIT), RPM_LIMIT)) if math.isfinite(rpm) else 0
