@@ -1,0 +1,274 @@
+"""The emulated robot: the boards' own firmware and two Roboteqs on the world, in lock-step virtual time.
+
+    robot = EmulatedRobot(load_vehicle("tiger"), load_scenario("shaking-plate"), seed=1)
+    robot.cables["suspension"].host_write(frame)      # what the daemon says
+    robot.run()                                       # one millisecond passes
+    robot.cables["suspension"].host_read()            # what it hears
+    robot.truth()                                     # for tests and plots only
+
+One `run` is: duties and speeds move the world, the world moves the pins, the boards run, bytes move along the wires.
+It depends on nothing but its arguments and the bytes that came in, so two robots given the same are equal.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from tiger.config.errors import ConfigError
+from tiger.emulation.cable import Cable, LineNoise, NoisyLine
+from tiger.emulation.roboteq import Roboteq
+from tiger.emulation.world import Truth, World
+from tiger.models.sensors.potentiometer import ADC_COUNTS
+from tiger.native.boards import BROWN_OUT, EXTERNAL, PEER_PORT, Board, ImuBoard, SpeedBoard, SuspensionBoard
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tiger.config.vehicle import VehicleConfig
+    from tiger.emulation.scenarios import FaultEvent, Scenario
+
+STEP_US = 1000
+STEP_S = STEP_US * 1e-6
+IMU_EVERY_STEPS = 5  # the sensor's registers follow the world at 200 Hz, twice the rate they are read at
+FEEDBACK_EVERY_STEPS = 10  # what the Roboteqs measure
+
+BOARD_CABLES = ("suspension", "speed_left", "speed_right")
+DRIVE_CABLES = ("roboteq_left", "roboteq_right")
+SIDES = {"left": (0, 2), "right": (1, 3)}  # front and rear corner of each side
+
+RESONATOR_PPM = {
+    "mega_suspension": 800.0,
+    "nano_imu": -1200.0,
+    "mega_speed_left": 300.0,
+    "mega_speed_right": -500.0,
+}
+"""How far each board's clock is off: ceramic resonators are, by up to 5000."""
+
+CORNER_NAMES = ("fl", "fr", "rl", "rr")
+_OPEN_POT_COUNTS = float(ADC_COUNTS - 1)
+
+
+class Failure(NamedTuple):
+    """How one kind of planned failure begins and ends; the argument is the event's value."""
+
+    begin: Callable[[float], None]
+    end: Callable[[float], None]
+
+
+class EmulatedRobot:
+    """See the top of this file.
+
+    Args:
+        vehicle: the robot; its actuators must be of kind "rate".
+        scenario: what happens to it, planned failures included.
+        seed: of everything random.
+        noise: damage on every framed line (the Roboteqs' lines carry no checksum and stay clean).
+
+    Raises:
+        ConfigError: the scenario plans a failure that this robot cannot have.
+    """
+
+    def __init__(
+        self,
+        vehicle: VehicleConfig,
+        scenario: Scenario,
+        seed: int = 0,
+        noise: LineNoise = LineNoise(),  # noqa: B008  frozen
+    ) -> None:
+        self.scenario = scenario
+        self.world = World(vehicle, scenario, seed)
+        self.suspension = SuspensionBoard(uid=0x51)
+        self.imu = ImuBoard(uid=0x52)
+        self.speed = {"left": SpeedBoard(0, uid=0x53), "right": SpeedBoard(1, uid=0x54)}
+        self.drives = {side: Roboteq(seed=seed) for side in SIDES}
+        self.boards: dict[str, Board] = {
+            "mega_suspension": self.suspension,
+            "nano_imu": self.imu,
+            "mega_speed_left": self.speed["left"],
+            "mega_speed_right": self.speed["right"],
+        }
+        for name, board in self.boards.items():
+            board.set_clock_ppm(RESONATOR_PPM[name])
+        if scenario.sensor_noise:
+            self.imu.set_dither(0.0)  # the world's noise is enough
+        else:
+            self.suspension.set_noise(0.0)
+
+        self.cables = {name: Cable(noise, seed=10 * seed + k) for k, name in enumerate(BOARD_CABLES)}
+        self.cables |= {name: Cable() for name in DRIVE_CABLES}
+        self._nano_up = NoisyLine(noise, seed=10 * seed + 8)
+        self._nano_down = NoisyLine(noise, seed=10 * seed + 9)
+        self.nano_wire_cut = False
+        self.estop_pressed = False
+        self._broken_pots: dict[int, float] = {}  # corner -> counts its input shows
+        self._stuck_pots: set[int] = set()
+        self._counts = [0.0] * 4
+        self._steps = 0
+        self._failures = self._table_of_failures()
+        self._plan = self._planned_failures(scenario.fault)
+
+    @property
+    def time_s(self) -> float:
+        """Virtual time since the start."""
+        return self.world.time_s
+
+    @property
+    def damaged_bytes(self) -> int:
+        """Bytes damaged on all lines so far."""
+        wires = self._nano_up.damaged_bytes + self._nano_down.damaged_bytes
+        return wires + sum(cable.damaged_bytes for cable in self.cables.values())
+
+    def truth(self) -> Truth:
+        """What the world really does."""
+        return self.world.truth()
+
+    def run(self) -> None:
+        """Let one millisecond pass."""
+        self._begin_and_end_failures()
+        self._move_world()
+        self._set_pins()
+        for board in self.boards.values():
+            board.run(STEP_US)
+        self._run_drives()
+        self._move_bytes()
+        self._steps += 1
+
+    # ---- one step
+
+    def _move_world(self) -> None:
+        left, right = self.drives["left"].motor_rpm, self.drives["right"].motor_rpm
+        self.world.step(STEP_S, self.suspension.drive(), (left[0], right[0], left[1], right[1]))
+
+    def _set_pins(self) -> None:
+        world = self.world
+        counts = (world.potentiometer_volts() * (ADC_COUNTS / 5.0)).tolist()
+        for corner in self._stuck_pots:
+            counts[corner] = self._counts[corner]
+        for corner, shown in self._broken_pots.items():
+            counts[corner] = shown
+        self._counts = counts
+        self.suspension.set_inputs(
+            counts, _bits(world.lower_switches), _bits(world.upper_switches), self.estop_pressed
+        )
+        if self._steps % IMU_EVERY_STEPS == 0:
+            reading = world.imu()
+            self.imu.set_inputs(
+                reading.accel_mps2.tolist(), reading.gyro_radps.tolist(), reading.mag_ut.tolist()
+            )
+        phase = world.tooth_phase
+        for side, (front, rear) in SIDES.items():
+            self.speed[side].set_wheel(0, phase[front])
+            self.speed[side].set_wheel(1, phase[rear])
+
+    def _run_drives(self) -> None:
+        if self._steps % FEEDBACK_EVERY_STEPS == 0:
+            rpm, current = self.world.wheel_speed_rpm, self.world.motor_current_a().tolist()
+            for side, (front, rear) in SIDES.items():
+                self.drives[side].feedback((rpm[front], rpm[rear]), (current[front], current[rear]))
+        for side, drive in self.drives.items():
+            drive.estop_input = self.estop_pressed
+            cable = self.cables[f"roboteq_{side}"]
+            data = cable.board_read()
+            if data:
+                drive.receive(data)
+            drive.run(STEP_US)
+            cable.board_write(drive.transmit())
+
+    def _move_bytes(self) -> None:
+        for name, board in zip(BOARD_CABLES, (self.suspension, *self.speed.values()), strict=True):
+            cable = self.cables[name]
+            cable.board_write(board.uart_read())
+            data = cable.board_read()
+            if data:
+                board.uart_write(data)
+        up, down = self.imu.uart_read(), self.suspension.uart_read(PEER_PORT)
+        if not self.nano_wire_cut:
+            if up:
+                self.suspension.uart_write(self._nano_up.carry(up), PEER_PORT)
+            if down:
+                self.imu.uart_write(self._nano_down.carry(down))
+
+    # ---- planned failures
+
+    def _table_of_failures(self) -> dict[tuple[str, str], Failure]:
+        table: dict[tuple[str, str], Failure] = {}
+        for name, cable in self.cables.items():
+            table[name, "cut"] = Failure(lambda _, c=cable: c.cut(), lambda _, c=cable: c.mend())
+            table[name, "silence"] = Failure(
+                lambda _, c=cable: c.silence(True), lambda _, c=cable: c.silence(False)
+            )
+        for name, board in self.boards.items():
+            table[name, "hang"] = Failure(lambda _, b=board: b.hang(), _nothing)
+            table[name, "hang_hard"] = Failure(lambda _, b=board: b.hang(interrupts_off=True), _nothing)
+            table[name, "reset"] = Failure(lambda _, b=board: b.reset(EXTERNAL), _nothing)
+            table[name, "brown_out"] = Failure(lambda _, b=board: b.reset(BROWN_OUT), _nothing)
+        for side, drive in self.drives.items():
+            name = f"roboteq_{side}"
+            table[name, "silent"] = _attribute(drive, "silent")
+            table[name, "deaf"] = _attribute(drive, "deaf")
+            table[name, "fault_flags"] = Failure(
+                lambda value, d=drive: setattr(d, "fault_flags", int(value)),
+                lambda _, d=drive: setattr(d, "fault_flags", 0),
+            )
+            table[name, "reboot"] = Failure(lambda _, d=drive: d.reboot(), _nothing)
+        for corner, corner_name in enumerate(CORNER_NAMES):
+            pot = f"potentiometer_{corner_name}"
+            table[pot, "open"] = Failure(
+                lambda _, c=corner: self._broken_pots.update({c: _OPEN_POT_COUNTS}),
+                lambda _, c=corner: self._broken_pots.pop(c, None),
+            )
+            table[pot, "short"] = Failure(
+                lambda _, c=corner: self._broken_pots.update({c: 0.0}),
+                lambda _, c=corner: self._broken_pots.pop(c, None),
+            )
+            table[pot, "stuck"] = Failure(
+                lambda _, c=corner: self._stuck_pots.add(c), lambda _, c=corner: self._stuck_pots.discard(c)
+            )
+        table["nano_wire", "cut"] = _attribute(self, "nano_wire_cut")
+        table["estop", "press"] = _attribute(self, "estop_pressed")
+        table["imu_sensor", "faults"] = Failure(
+            lambda value: self.imu.set_faults(int(value)), lambda _: self.imu.set_faults(0)
+        )
+        table["imu_sensor", "power_cycle"] = Failure(lambda _: self.imu.power_cycle_sensor(), _nothing)
+        return table
+
+    def _planned_failures(
+        self, events: tuple[FaultEvent, ...]
+    ) -> list[tuple[int, Callable[[float], None], float]]:
+        """Return (microsecond, action, value), the latest first so that the next one is popped off the end."""
+        plan = []
+        for event in events:
+            failure = self._failures.get((event.target, event.kind))
+            if failure is None:
+                kinds = sorted(kind for target, kind in self._failures if target == event.target)
+                known = (
+                    f"{event.target} knows {', '.join(kinds)}"
+                    if kinds
+                    else f"targets are {', '.join(sorted({target for target, _ in self._failures}))}"
+                )
+                raise ConfigError(
+                    f"fault at {event.at_s:g} s: no {event.kind!r} of {event.target!r}; {known}"
+                )
+            plan.append((round(event.at_s * 1e6), failure.begin, event.value))
+            if event.for_s is not None:
+                plan.append((round((event.at_s + event.for_s) * 1e6), failure.end, event.value))
+        return sorted(plan, key=lambda entry: -entry[0])
+
+    def _begin_and_end_failures(self) -> None:
+        now_us = self.world.time_us
+        while self._plan and self._plan[-1][0] <= now_us:
+            _, action, value = self._plan.pop()
+            action(value)
+
+
+def _bits(switches: tuple[bool, bool, bool, bool]) -> int:
+    a, b, c, d = switches
+    return a | b << 1 | c << 2 | d << 3
+
+
+def _nothing(_: float) -> None:
+    """End of a failure that ends by itself."""
+
+
+def _attribute(owner: object, name: str) -> Failure:
+    return Failure(lambda _: setattr(owner, name, True), lambda _: setattr(owner, name, False))
