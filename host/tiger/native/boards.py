@@ -1,7 +1,7 @@
 """The firmware's boards on virtual pins, as Python objects.
 
-Time only passes in `Board.run`. Bytes travel at the baud rate of their line, outputs hold until the program changes
-them, and boards share nothing: wire them by moving what `uart_read` gives into another's `uart_write`.
+Time only passes in `Board.run`. Bytes travel at the baud rate of their line, outputs hold until the program
+changes them, and boards share nothing: wire them by moving what `uart_read` gives into another's `uart_write`.
 """
 
 from __future__ import annotations
@@ -116,8 +116,8 @@ class SuspensionBoard(Board):
         """Set what the pins show.
 
         Args:
-            adc_counts: 4 potentiometers, 0 to 1023 with fractions, as they will be at the end of the next run (in
-                between they move in a straight line).
+            adc_counts: 4 potentiometers, 0 to 1023 with fractions, as they will be at the end of the next
+                run (in between they move in a straight line).
             lower, upper: bit n: the limit switch of corner n is pressed.
             estop: the emergency stop is pressed.
         """
