@@ -87,6 +87,8 @@ struct avr_board {
   Uart uarts[kUarts];
   std::deque<PinEvent> pin_events;
   bool pin_timer_set = false;
+  uint8_t driven[16] = {};  // pins that something outside drives, by port
+  uint8_t levels[16] = {};
   std::deque<Watch> watches;
   avr_isr isrs[kVectors] = {};
   int running_vector = 0;
@@ -487,7 +489,17 @@ void avr_adc_code(avr_board* board, int channel, uint32_t code) {
   avr_raise_irq(avr_io_getirq(board->avr, AVR_IOCTL_ADC_GETIRQ, channel), millivolts);
 }
 
+// Also told to simavr as the level from outside, or it would put its own there whenever a pull-up is switched.
 void avr_pin_set(avr_board* board, char port, int bit, int level) {
+  uint8_t& mask = board->driven[port - 'A'];
+  uint8_t& levels = board->levels[port - 'A'];
+  mask = static_cast<uint8_t>(mask | 1u << bit);
+  levels = static_cast<uint8_t>(level != 0 ? levels | 1u << bit : levels & ~(1u << bit));
+  avr_ioport_external_t external = {};
+  external.name = static_cast<unsigned long>(port) & 0x7F;
+  external.mask = mask;
+  external.value = levels;
+  avr_ioctl(board->avr, AVR_IOCTL_IOPORT_SET_EXTERNAL(port), &external);
   avr_raise_irq(avr_io_getirq(board->avr, AVR_IOCTL_IOPORT_GETIRQ(port), bit), static_cast<uint32_t>(level));
 }
 

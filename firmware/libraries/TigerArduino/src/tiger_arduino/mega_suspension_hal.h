@@ -15,7 +15,6 @@ constexpr uint16_t kPeerSendBytes = 128;
 
 static Uart<Uart0Port, kHostReceiveBytes, kHostSendBytes> host_uart;
 static Uart<Uart1Port, kPeerReceiveBytes, kPeerSendBytes> peer_uart;
-static PotSampler pot_sampler;
 
 class MegaSuspensionHal : public HalCommon {
  public:
@@ -44,12 +43,14 @@ class MegaSuspensionHal : public HalCommon {
   bool pots_read(uint16_t sums[kCorners]) { return pot_sampler.read(sums); }
   void drive(uint8_t corner, int16_t duty_permille) { Motors::drive(corner, duty_permille); }
   void outputs_off() { Motors::off(); }
-  uint8_t lower_switches() { return PINA >> 4; }
+  uint8_t lower_switches() { return static_cast<uint8_t>(PINA >> 4); }
   uint8_t upper_switches() {  // D30 is PC7: the corners run downwards in this port
-    const uint8_t pins = PINC;
+    uint8_t pins = PINC;
     uint8_t pressed = 0;
-    for (uint8_t corner = 0; corner < kCorners; ++corner)
-      if (pins & (_BV(7) >> corner)) pressed |= static_cast<uint8_t>(1 << corner);
+    for (uint8_t corner = 0; corner < kCorners; ++corner) {
+      if ((pins & _BV(7)) != 0) pressed = static_cast<uint8_t>(pressed | (1u << corner));
+      pins = static_cast<uint8_t>(pins << 1);
+    }
     return pressed;
   }
   bool estop_pressed() { return PINE & suspension_pins::kEstopPortE; }
@@ -62,7 +63,6 @@ ISR(USART0_RX_vect) { tiger::arduino::host_uart.on_receive(); }
 ISR(USART0_UDRE_vect) { tiger::arduino::host_uart.on_data_register_empty(); }
 ISR(USART1_RX_vect) { tiger::arduino::peer_uart.on_receive(); }
 ISR(USART1_UDRE_vect) { tiger::arduino::peer_uart.on_data_register_empty(); }
-ISR(ADC_vect) { tiger::arduino::pot_sampler.on_conversion(); }
 
 // The program hangs: outputs off first.
 ISR(WDT_vect) {

@@ -28,17 +28,15 @@ class PotSampler {
     ADCSRA = _BV(ADEN) | _BV(ADSC) | _BV(ADATE) | _BV(ADIE) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0);
   }
 
-  // Budget 80 cycles on average (5 % of the CPU), 200 at the end of a channel.
-  __attribute__((always_inline)) void on_conversion() {
-    const uint16_t reading = ADC;
-    if (settling_ != 0) {
-      settling_ = static_cast<uint8_t>(settling_ - 1);
-      return;
-    }
-    sum_ = static_cast<uint16_t>(sum_ + reading);
-    left_ = static_cast<uint8_t>(left_ - 1);
-    if (left_ == 0) finish_slot();
+  // The last conversion of a channel; the interrupt's short path has dealt with the others. Budget 200 cycles.
+  __attribute__((always_inline)) void on_last_conversion() {
+    sum_ = static_cast<uint16_t>(sum_ + ADC);
+    finish_slot();
   }
+
+  // Of the running channel; the interrupt's short path works on them.
+  static volatile uint16_t sum_;
+  static volatile uint8_t left_;  // conversions still to come, the settling ones first
 
   // True once for each new sweep.
   bool read(uint16_t sums[kCorners]) {
@@ -65,9 +63,8 @@ class PotSampler {
 
   void start_slot(uint8_t channel, uint8_t settling) {
     ADMUX = static_cast<uint8_t>(_BV(REFS0) | channel);
-    settling_ = settling;
     sum_ = 0;
-    left_ = kConversionsPerSum;
+    left_ = static_cast<uint8_t>(settling + kConversionsPerSum);
   }
 
   void finish_slot() {
@@ -93,14 +90,56 @@ class PotSampler {
 
   volatile uint16_t sums_[2][kCorners];
   volatile uint16_t supply_sum_;
-  volatile uint16_t sum_;
-  volatile uint8_t settling_;
-  volatile uint8_t left_;
   volatile uint8_t slot_;
   volatile uint8_t sweeps_;
   volatile uint8_t bank_;
   volatile bool fresh_;
 };
 
+volatile uint16_t PotSampler::sum_;
+volatile uint8_t PotSampler::left_;
+
+static PotSampler pot_sampler;
+
 }  // namespace arduino
 }  // namespace tiger
+
+// 17 of 18 conversions only add up or settle. By hand, because the compiler saves every register that the eighteenth
+// needs at each of them: 60 cycles instead of 94, and this interrupt comes 9615 times a second (budget 5 % of the CPU).
+ISR(ADC_vect, ISR_NAKED) {
+  __asm__ __volatile__(
+      "    push r24\n"
+      "    in r24, __SREG__\n"
+      "    push r24\n"
+      "    lds r24, %[left]\n"
+      "    dec r24\n"
+      "    sts %[left], r24\n"
+      "    breq 2f\n"
+      "    cpi r24, %[conversions]\n"
+      "    brsh 1f\n"
+      "    push r25\n"
+      "    lds r24, %[sum]\n"
+      "    lds r25, %[low]\n"
+      "    add r24, r25\n"
+      "    sts %[sum], r24\n"
+      "    lds r24, %[sum] + 1\n"
+      "    lds r25, %[high]\n"
+      "    adc r24, r25\n"
+      "    sts %[sum] + 1, r24\n"
+      "    pop r25\n"
+      "1:  pop r24\n"
+      "    out __SREG__, r24\n"
+      "    pop r24\n"
+      "    reti\n"
+      "2:  pop r24\n"
+      "    out __SREG__, r24\n"
+      "    pop r24\n"
+      "    jmp __vector_last_conversion\n"
+      :
+      : [left] "i"(&tiger::arduino::PotSampler::left_), [sum] "i"(&tiger::arduino::PotSampler::sum_),
+        [conversions] "M"(16), [low] "n"(_SFR_MEM_ADDR(ADCL)), [high] "n"(_SFR_MEM_ADDR(ADCH)));
+  static_assert(tiger::kConversionsPerSum == 16, "the short path adds up the last 16 conversions");
+}
+
+extern "C" void __vector_last_conversion() __attribute__((signal, used, externally_visible));
+extern "C" void __vector_last_conversion() { tiger::arduino::pot_sampler.on_last_conversion(); }
