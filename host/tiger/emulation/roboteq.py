@@ -241,7 +241,7 @@ class Roboteq:
         elif name == "EX" and not numbers:
             self._emergency = True
         elif name == "MG" and not numbers:
-            self._emergency = self.estop_input
+            self._emergency = False  # a pressed input sets it again at once
         else:
             raise Refused
         timeout_ms = self._settings["RWD"][0]

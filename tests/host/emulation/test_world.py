@@ -17,6 +17,7 @@ from tiger.emulation.scenarios import PlateSegment, Scenario, load_scenario
 from tiger.emulation.world import World
 from tiger.models.eam import Eam, MechanismError
 from tiger.models.full_car import GRAVITY_MPS2, LIFT, LIFT_RATE, ROAD, FullCarParameters, full_car
+from tiger.models.sensors.potentiometer import Potentiometer
 
 TIGER = load_vehicle("tiger")
 REST = (0.0, 0.0, 0.0, 0.0)
@@ -280,8 +281,11 @@ def test_readings_are_whole_digits_of_the_chip() -> None:
 
 def test_potentiometers_show_the_strokes() -> None:
     world = World(TIGER, scenario(stroke_mm=(0.0, 17.5, 35.0, 70.0)))
-    assert world.potentiometer_volts() == pytest.approx([0.1, 1.3, 2.5, 4.9])
-    assert world.potentiometer_counts().tolist() == [20, 266, 512, 1003]
+    expected = Potentiometer(stroke_max_mm=70.0)
+    assert world.potentiometer_volts() == pytest.approx(expected.volts([0.0, 17.5, 35.0, 70.0]))
+    assert expected.stroke_mm(world.potentiometer_counts()) == pytest.approx(
+        [0.0, 17.5, 35.0, 70.0], abs=0.06
+    )
 
 
 def test_wheels_follow_their_commands_and_turn_their_gears() -> None:

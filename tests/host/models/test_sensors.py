@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,7 +16,7 @@ from tiger.models.sensors.potentiometer import Potentiometer
 # ---- potentiometer
 
 
-POT = Potentiometer(stroke_max_mm=70.0)
+POT = Potentiometer(stroke_max_mm=70.0, volts_at_zero_stroke=0.1, volts_at_full_stroke=4.9)
 
 
 @given(st.floats(0.0, 70.0))
@@ -46,7 +48,7 @@ def test_noise_has_its_size_and_stays_on_the_rails() -> None:
 
 
 def test_nonlinearity_bends_by_its_share_of_the_stroke_and_keeps_the_ends() -> None:
-    bent = Potentiometer(70.0, nonlinearity=0.01)
+    bent = replace(POT, nonlinearity=0.01)
     strokes = np.linspace(0.0, 70.0, 701)
     error = (bent.volts(strokes) - POT.volts(strokes)) / 4.8
     assert np.abs(error).max() == pytest.approx(0.01, rel=1e-3)
