@@ -18,17 +18,20 @@ namespace tiger {
 template <class Hal>
 class NanoImu : public BoardHooks {
  public:
-  explicit NanoImu(Hal& hal) : hal_(hal), link_(hal, *this), sensor_(hal), task_(nano_imu_config::kTickUs) {}
+  explicit NanoImu(Hal& hal)
+      : hal_(hal),
+        link_(hal, *this),
+        sensor_(hal),
+        filter_(nano_imu_config::kAttitude),
+        task_(nano_imu_config::kTickUs) {}
 
   void begin() {
     link_.begin();
     const uint32_t now_us = hal_.micros();
     parameters_changed();
-    filter_.begin(fusion::AttitudeTuning());
-    turning_gains_ = fusion::low_pass_gains(nano_imu_config::kAngularAccelTauS, nano_imu_config::kTickS);
     sensor_.begin(now_us);
     task_.start(now_us);
-    sent_us_ = mag_us_ = now_us;
+    sampled_us_ = mag_us_ = now_us;
   }
 
   void poll() {
@@ -36,13 +39,14 @@ class NanoImu : public BoardHooks {
     link_.poll(now_us);
     ImuReading reading;
     if (sensor_.poll(now_us, reading)) {
+      sampled_us_ = now_us;
       take(reading);
       report(now_us);
     }
     watch_sensor();
     if (raw_pending_ && link_.send(raw_)) raw_pending_ = false;
     if (task_.due(now_us)) {
-      if (now_us - sent_us_ > nano_imu_config::kLateUs) report_stale(now_us);
+      if (now_us - sampled_us_ > nano_imu_config::kLateUs) report_stale(now_us);
       link_.task_done(task_, now_us);
     }
   }
@@ -57,14 +61,13 @@ class NanoImu : public BoardHooks {
 
   void parameters_changed() {
     const auto& p = link_.parameters();
-    gyro_bias_ = 1e-6f * triple(p, wire::kParamGyroBiasRadps);
-    accel_offset_ = 1e-4f * triple(p, wire::kParamAccelOffsetMps2);
-    accel_scale_ = 1e-6f * triple(p, wire::kParamAccelScalePermille);
-    const uint8_t m = wire::kParamMountingQuaternion;
-    const fusion::Vec3 v = triple(p, m + 1);
-    mounting_ = fusion::matrix(fusion::normalised(
-        fusion::Quat{1e-6f * static_cast<float>(p.get(m)), 1e-6f * v.x, 1e-6f * v.y, 1e-6f * v.z}));
-    is_turned_ = p.get(m + 1) != 0 || p.get(m + 2) != 0 || p.get(m + 3) != 0;
+    gyro_bias_ = triple(p, wire::kParamGyroBiasRadps, 1e-6f);
+    accel_offset_ = triple(p, wire::kParamAccelOffsetMps2, 1e-4f);
+    accel_scale_ = triple(p, wire::kParamAccelScalePermille, 1e-6f);
+    const fusion::Vec3 v = triple(p, wire::kParamMountingQuaternion + 1, 1e-6f);
+    const float w = 1e-6f * static_cast<float>(p.get(wire::kParamMountingQuaternion));
+    mounting_ = fusion::matrix(fusion::normalised(fusion::Quat{w, v}));
+    is_turned_ = fusion::dot(v, v) > 0.0f;
     is_calibrated_ = p.get(wire::kParamCalibrated) != 0;
   }
 
@@ -74,10 +77,10 @@ class NanoImu : public BoardHooks {
   using Link = BoardLink<Hal, NanoImu, wire::BoardKind::kNanoImu, wire::kParamCountNanoImu>;
   friend Link;
 
-  static fusion::Vec3 triple(const typename Link::Values& p, uint8_t first) {
-    return fusion::Vec3{static_cast<float>(p.get(first)),
-                        static_cast<float>(p.get(static_cast<uint8_t>(first + 1))),
-                        static_cast<float>(p.get(static_cast<uint8_t>(first + 2)))};
+  static fusion::Vec3 triple(const typename Link::Values& p, uint8_t first, float scale) {
+    float v[3];
+    for (uint8_t i = 0; i < 3; i++) v[i] = scale * static_cast<float>(p.get(static_cast<uint8_t>(first + i)));
+    return fusion::Vec3{v[0], v[1], v[2]};
   }
 
   // Physical value to counts of the wire, held inside its limits.
@@ -168,19 +171,19 @@ class NanoImu : public BoardHooks {
     const Quat q = filter_.attitude();
     constexpr int16_t kUnit = ImuAttitude::kQuaternionMax;
     attitude_.quaternion[0] = counts(q.w, kUnit, kUnit);
-    attitude_.quaternion[1] = counts(q.x, kUnit, kUnit);
-    attitude_.quaternion[2] = counts(q.y, kUnit, kUnit);
-    attitude_.quaternion[3] = counts(q.z, kUnit, kUnit);
+    attitude_.quaternion[1] = counts(q.v.x, kUnit, kUnit);
+    attitude_.quaternion[2] = counts(q.v.y, kUnit, kUnit);
+    attitude_.quaternion[3] = counts(q.v.z, kUnit, kUnit);
     const Vec3& rate = filter_.rate_radps();
     put(attitude_.rate_radps, rate, 1.0f / ImuAttitude::kRateRadpsScale, ImuAttitude::kRateRadpsMax);
 
     float smooth[3] = {rate.x, rate.y, rate.z};
     float steps[3];
-    turning_.update(turning_gains_, smooth, smooth, steps);
+    turning_.update(nano_imu_config::kAngularAccel, smooth, smooth, steps);
     constexpr float kPerStep = 2.0f / nano_imu_config::kTickS / ImuAttitude::kAngularAccelRadps2Scale;
     put(attitude_.angular_accel_radps2, Vec3{steps[0], steps[1], steps[2]}, kPerStep,
         ImuAttitude::kAngularAccelRadps2Max);
-    put(attitude_.linear_accel_mps2, accel_mps2 - kGravityMps2 * matrix_row_z(q),
+    put(attitude_.linear_accel_mps2, accel_mps2 - rotate(conjugate(q), Vec3{0.0f, 0.0f, kGravityMps2}),
         1.0f / ImuAttitude::kLinearAccelMps2Scale, ImuAttitude::kLinearAccelMps2Max);
   }
 
@@ -198,7 +201,6 @@ class NanoImu : public BoardHooks {
     attitude_.flags = flags_;
     link_.send(attitude_);
     raw_pending_ = true;  // goes in a turn in which there is room for it
-    sent_us_ = now_us;
   }
 
   void report_stale(uint32_t now_us) {
@@ -239,13 +241,12 @@ class NanoImu : public BoardHooks {
   Bno055<Hal> sensor_;
   fusion::AttitudeFilter filter_;
   fusion::LowPass<3> turning_;
-  fusion::LowPassGains turning_gains_;
   fusion::Mat3 mounting_;
   fusion::Vec3 gyro_bias_, accel_offset_, accel_scale_;
   PeriodicTask task_;
   wire::ImuAttitude attitude_ = {0, {wire::ImuAttitude::kQuaternionMax, 0, 0, 0}, {}, {}, {}, 0};
   wire::ImuRaw raw_ = {};
-  uint32_t fused_us_ = 0, mag_us_ = 0, sent_us_ = 0;
+  uint32_t fused_us_ = 0, mag_us_ = 0, sampled_us_ = 0;
   uint16_t settled_ = 0, flags_ = 0;
   bool has_fused_ = false, started_ = false, raw_pending_ = false, is_turned_ = false, is_calibrated_ = false;
 };

@@ -3,6 +3,8 @@
 
 #include <stdint.h>
 
+#include "../fusion/attitude_filter.h"
+
 namespace tiger {
 namespace nano_imu_config {
 
@@ -12,6 +14,9 @@ constexpr uint32_t kLateUs = 15000;          // no sample for so long: the old o
 constexpr uint32_t kBridgeUs = 50000;        // a longer gap is not integrated over
 constexpr uint16_t kSettleSamples = 300;     // one time constant of the accelerometer average
 constexpr float kAngularAccelTauS = 0.015f;  // corner 15 Hz: 0.07 rad/s2 of noise, 15 ms of delay
+
+constexpr fusion::AttitudeGains kAttitude = fusion::attitude_gains(fusion::AttitudeTuning());
+constexpr fusion::LowPassGains kAngularAccel = fusion::low_pass_gains(kAngularAccelTauS, kTickS);
 
 }  // namespace nano_imu_config
 }  // namespace tiger

@@ -2,10 +2,12 @@
 //
 // At rest the mean rate is the bias. In motion the rate at which the inclination needs correcting is what the
 // bias does, seen through the rotation: its horizontal part is a measurement, its vertical part only a weak
-// wish for zero that bounds the drift of what cannot be observed. (Laidig & Seel, Information Fusion 91, 2023,
-// section 3.5.) The measurement noises are independent, so each row is taken on its own: three scalar updates
-// need no matrix inverse and a third of the cycles.
+// wish for zero that bounds the drift of what cannot be observed. (Laidig & Seel, Information Fusion 91, 2023.)
+// The measurement noises are independent, so each row is taken on its own: three scalar updates need no matrix
+// inverse and a third of the cycles.
 #pragma once
+
+#include <string.h>
 
 #include "low_pass.h"
 #include "rotation.h"
@@ -15,116 +17,112 @@ namespace fusion {
 
 struct BiasTuning {
   float sigma_init_radps = 0.00873f;     // 0.5 degrees/s
-  float forgetting_s = 100.0f;           // time in which the uncertainty grows by 0.1 degrees/s
+  float growth_radps = 0.001745f;        // the uncertainty grows to 0.1 degrees/s
+  float forgetting_s = 100.0f;           // in this time
   float limit_radps = 0.0349f;           // 2 degrees/s: the estimate never leaves +- this
   float sigma_motion_radps = 0.001745f;  // 0.1 degrees/s, where it settles in motion
   float sigma_rest_radps = 0.000524f;    // 0.03 degrees/s, where it settles at rest
   float vertical_factor = 1e-4f;         // how much the unobservable direction counts
 };
 
+struct BiasGains {
+  LowPassGains lag;
+  float growth, variance_init, noise_motion, noise_vertical, noise_rest, limit, updates_per_s;
+};
+
+namespace detail {
+// Measurement noise for which the variance settles at `v` when it grows by `growth` an update.
+constexpr float settled_noise(float v, float growth) { return v * v / growth + v; }
+constexpr float square(float x) { return x * x; }
+
+constexpr BiasGains bias_gains(const BiasTuning& t, const LowPassGains& lag, float growth, float period_s) {
+  return BiasGains{lag,
+                   growth,
+                   square(t.sigma_init_radps),
+                   settled_noise(square(t.sigma_motion_radps), growth),
+                   settled_noise(square(t.sigma_motion_radps), growth) / t.vertical_factor,
+                   settled_noise(square(t.sigma_rest_radps), growth),
+                   t.limit_radps,
+                   1.0f / period_s};
+}
+}  // namespace detail
+
+// `period_s` is the time between two updates, `tau_s` that of the accelerometer's low-pass.
+constexpr BiasGains bias_gains(const BiasTuning& t, float tau_s, float period_s) {
+  return detail::bias_gains(t, low_pass_gains(tau_s, period_s),
+                            detail::square(t.growth_radps) * period_s / t.forgetting_s, period_s);
+}
+
 class GyroBias {
  public:
-  // `period_s` is the time between two updates, `tau_s` that of the accelerometer's low-pass.
-  void begin(const BiasTuning& tuning, float tau_s, float period_s) {
-    lag_gains_ = low_pass_gains(tau_s, period_s);
-    constexpr float kGrowthRadps = 0.001745f;  // 0.1 degrees/s in forgetting_s
-    growth_ = kGrowthRadps * kGrowthRadps * period_s / tuning.forgetting_s;
-    variance_init_ = tuning.sigma_init_radps * tuning.sigma_init_radps;
-    noise_motion_ = settled_noise(tuning.sigma_motion_radps);
-    noise_rest_ = settled_noise(tuning.sigma_rest_radps);
-    noise_vertical_ = noise_motion_ / tuning.vertical_factor;
-    limit_ = tuning.limit_radps;
-    rate_of_tilt_ = 1.0f / period_s;
+  void reset(const BiasGains& gains) {
     bias_ = Vec3{0.0f, 0.0f, 0.0f};
     lag_.reset();
-    pxx_ = pyy_ = pzz_ = variance_init_;
-    pxy_ = pxz_ = pyz_ = 0.0f;
+    covariance_[0] = Vec3{gains.variance_init, 0.0f, 0.0f};
+    covariance_[1] = Vec3{0.0f, gains.variance_init, 0.0f};
+    covariance_[2] = Vec3{0.0f, 0.0f, gains.variance_init};
   }
 
   void start_from(const Vec3& bias) { bias_ = bias; }
   const Vec3& value() const { return bias_; }
 
+  // The accelerometer sees a tilt error late, through its low-pass: the rotation and the bias already taken out
+  // must pass through the same filter to be comparable. Once before every update.
+  void track(const BiasGains& gains, const Mat3& body_to_inclined) {
+    memcpy(lagged_, &body_to_inclined, sizeof(body_to_inclined));
+    lagged_[9] = dot(body_to_inclined.row[0], bias_);
+    lagged_[10] = dot(body_to_inclined.row[1], bias_);
+    lag_.update(gains.lag, lagged_, lagged_);
+  }
+
   // Rest: `mean_rate` is a measurement of the bias.
-  void update_at_rest(const Mat3& body_to_inclined, const Vec3& mean_rate) {
-    float lagged[kLagged];
-    lag(body_to_inclined, lagged);
-    grow();
-    absorb(Vec3{1.0f, 0.0f, 0.0f}, mean_rate.x - bias_.x, noise_rest_);
-    absorb(Vec3{0.0f, 1.0f, 0.0f}, mean_rate.y - bias_.y, noise_rest_);
-    absorb(Vec3{0.0f, 0.0f, 1.0f}, mean_rate.z - bias_.z, noise_rest_);
-    limit();
+  void update_at_rest(const BiasGains& gains, const Vec3& mean_rate) {
+    grow(gains);
+    absorb(gains, Vec3{1.0f, 0.0f, 0.0f}, mean_rate.x, gains.noise_rest);
+    absorb(gains, Vec3{0.0f, 1.0f, 0.0f}, mean_rate.y, gains.noise_rest);
+    absorb(gains, Vec3{0.0f, 0.0f, 1.0f}, mean_rate.z, gains.noise_rest);
   }
 
   // Motion: `tilt_x`, `tilt_y` are the horizontal parts of the unit vector that should have pointed up when
   // the inclination was corrected.
-  void update_in_motion(const Mat3& body_to_inclined, float tilt_x, float tilt_y) {
-    float lagged[kLagged];
-    lag(body_to_inclined, lagged);
-    grow();
-    const Vec3 row_x = {lagged[0], lagged[1], lagged[2]};
-    const Vec3 row_y = {lagged[3], lagged[4], lagged[5]};
-    const Vec3 row_z = {lagged[6], lagged[7], lagged[8]};
-    absorb(row_x, lagged[9] - tilt_y * rate_of_tilt_ - dot(row_x, bias_), noise_motion_);
-    absorb(row_y, lagged[10] + tilt_x * rate_of_tilt_ - dot(row_y, bias_), noise_motion_);
-    absorb(row_z, -dot(row_z, bias_), noise_vertical_);
-    limit();
+  void update_in_motion(const BiasGains& gains, float tilt_x, float tilt_y) {
+    grow(gains);
+    absorb(gains, lagged_row(0), lagged_[9] - tilt_y * gains.updates_per_s, gains.noise_motion);
+    absorb(gains, lagged_row(1), lagged_[10] + tilt_x * gains.updates_per_s, gains.noise_motion);
+    absorb(gains, lagged_row(2), 0.0f, gains.noise_vertical);
   }
 
  private:
-  static constexpr uint8_t kLagged = 11;
+  static constexpr uint8_t kLagged = 11;  // the rotation's nine entries, and two of the bias it carries
+  static_assert(sizeof(Mat3) == 9 * sizeof(float), "rows lie one behind the other");
 
-  // The accelerometer sees a tilt error late, through its low-pass: the rotation and the bias already taken out
-  // must pass through the same filter to be comparable.
-  void lag(const Mat3& body_to_inclined, float* lagged) {
-    float* v = lagged;
+  Vec3 lagged_row(uint8_t i) const {
+    const float* v = lagged_ + 3 * i;
+    return Vec3{v[0], v[1], v[2]};
+  }
+
+  TIGER_OUTLINE void grow(const BiasGains& gains) {
+    float* const diagonal[3] = {&covariance_[0].x, &covariance_[1].y, &covariance_[2].z};
     for (uint8_t i = 0; i < 3; i++) {
-      *v++ = body_to_inclined.row[i].x;
-      *v++ = body_to_inclined.row[i].y;
-      *v++ = body_to_inclined.row[i].z;
+      if (*diagonal[i] < gains.variance_init) *diagonal[i] += gains.growth;
     }
-    *v++ = dot(body_to_inclined.row[0], bias_);
-    *v++ = dot(body_to_inclined.row[1], bias_);
-    lag_.update(lag_gains_, lagged, lagged);
   }
 
-  // Measurement noise for which the variance settles at sigma^2 under the growth per update.
-  float settled_noise(float sigma) const {
-    const float variance = sigma * sigma;
-    return variance * variance / growth_ + variance;
-  }
-
-  void grow() {
-    if (pxx_ < variance_init_) pxx_ += growth_;
-    if (pyy_ < variance_init_) pyy_ += growth_;
-    if (pzz_ < variance_init_) pzz_ += growth_;
-  }
-
-  // One scalar measurement: innovation = (measured - row . bias).
-  void absorb(const Vec3& row, float innovation, float noise) {
-    const Vec3 s = {pxx_ * row.x + pxy_ * row.y + pxz_ * row.z, pxy_ * row.x + pyy_ * row.y + pyz_ * row.z,
-                    pxz_ * row.x + pyz_ * row.y + pzz_ * row.z};
-    const float inverse = 1.0f / (dot(row, s) + noise);
-    const Vec3 gain = inverse * s;
-    bias_ = bias_ + clamp(innovation, limit_) * gain;
-    pxx_ -= gain.x * s.x;
-    pxy_ -= gain.x * s.y;
-    pxz_ -= gain.x * s.z;
-    pyy_ -= gain.y * s.y;
-    pyz_ -= gain.y * s.z;
-    pzz_ -= gain.z * s.z;
-  }
-
-  void limit() {
-    bias_.x = clamp(bias_.x, limit_);
-    bias_.y = clamp(bias_.y, limit_);
-    bias_.z = clamp(bias_.z, limit_);
+  // One scalar measurement of row . bias.
+  TIGER_OUTLINE void absorb(const BiasGains& gains, const Vec3& row, float measured, float noise) {
+    const Vec3 s = {dot(covariance_[0], row), dot(covariance_[1], row), dot(covariance_[2], row)};
+    const Vec3 gain = (1.0f / (dot(row, s) + noise)) * s;
+    bias_ = bias_ + clamp(measured - dot(row, bias_), gains.limit) * gain;
+    bias_ = Vec3{clamp(bias_.x, gains.limit), clamp(bias_.y, gains.limit), clamp(bias_.z, gains.limit)};
+    covariance_[0] = covariance_[0] - gain.x * s;
+    covariance_[1] = covariance_[1] - gain.y * s;
+    covariance_[2] = covariance_[2] - gain.z * s;
   }
 
   LowPass<kLagged> lag_;
-  LowPassGains lag_gains_;
-  Vec3 bias_;
-  float pxx_, pxy_, pxz_, pyy_, pyz_, pzz_;
-  float growth_, variance_init_, noise_motion_, noise_rest_, noise_vertical_, limit_, rate_of_tilt_;
+  float lagged_[kLagged] = {};
+  Vec3 bias_ = {};
+  Vec3 covariance_[3] = {};
 };
 
 }  // namespace fusion

@@ -25,26 +25,43 @@ struct HeadingTuning {
   float new_field_rate_radps = 0.349f;  // 20 degrees/s: what counts as motion
 };
 
+struct HeadingGains {
+  float period_s, share, share_current, share_reference;
+  float norm_limit, dip_limit_rad, quiet_s, reject_max_s, reject_factor, new_field_s, first_field_s,
+      new_field_rate2;
+};
+
+constexpr HeadingGains heading_gains(const HeadingTuning& t, float period_s) {
+  return HeadingGains{period_s,
+                      period_s / (t.tau_s + period_s),
+                      period_s / (t.current_tau_s + period_s),
+                      period_s / (t.reference_tau_s + period_s),
+                      t.norm_limit,
+                      t.dip_limit_rad,
+                      t.quiet_s,
+                      t.reject_max_s,
+                      t.reject_factor,
+                      t.new_field_s,
+                      t.first_field_s,
+                      t.new_field_rate_radps * t.new_field_rate_radps};
+}
+
 class Heading {
  public:
-  void begin(const HeadingTuning& tuning, float period_s) {
-    tuning_ = tuning;
-    period_s_ = period_s;
+  void reset() {
     angle_ = 0.0f;
-    reference_norm_ = 0.0f;
-    candidate_norm_ = -1.0f;
-    smooth_norm_ = -1.0f;
+    smooth_.norm = reference_.norm = candidate_.norm = 0.0f;
     quiet_s_ = candidate_s_ = 0.0f;
-    rejected_s_ = tuning.reject_max_s;
+    rejected_s_ = 1e9f;
     samples_ = 0;
     disturbed_ = true;
   }
 
-  // `field`: magnetic field in the inclined frame (z up, heading free). `rate_radps`: how fast the body turns.
-  void step(const Vec3& field, float rate_radps) {
-    judge(field, rate_radps);
+  // `field`: magnetic field in the inclined frame (z up, heading free). `rate`: how fast the body turns, averaged.
+  void step(const HeadingGains& gains, const Vec3& field, const Vec3& rate) {
+    judge(gains, field, dot(rate, rate) >= gains.new_field_rate2);
     const float error = wrapped(atan2f(field.x, field.y) - angle_);
-    angle_ = wrapped(angle_ + gain() * error);
+    angle_ = wrapped(angle_ + gain(gains) * error);
   }
 
   // Angle about the vertical that turns the inclined frame into east-north-up.
@@ -52,87 +69,79 @@ class Heading {
   bool disturbed() const { return disturbed_; }
 
  private:
-  static float share(float period_s, float tau_s) { return period_s / (tau_s + period_s); }
+  struct Field {  // what of the field does not depend on the heading
+    float norm, dip;
+  };
 
-  void judge(const Vec3& field, float rate_radps) {
-    const float horizontal2 = field.x * field.x + field.y * field.y;
-    float norm = sqrtf(horizontal2 + field.z * field.z);
-    float dip = atan2f(-field.z, sqrtf(horizontal2));
-    if (smooth_norm_ < 0.0f) {
-      smooth_norm_ = norm;
-      smooth_dip_ = dip;
-    }
-    const float k = share(period_s_, tuning_.current_tau_s);
-    norm = smooth_norm_ += k * (norm - smooth_norm_);
-    dip = smooth_dip_ += k * (dip - smooth_dip_);
+  static bool match(const HeadingGains& gains, const Field& a, const Field& reference) {
+    return fabsf(a.norm - reference.norm) < gains.norm_limit * reference.norm &&
+           fabsf(a.dip - reference.dip) < gains.dip_limit_rad;
+  }
 
-    const float follow = period_s_ / tuning_.reference_tau_s;
-    if (matches(norm, dip, reference_norm_, reference_dip_)) {
-      quiet_s_ += period_s_;
-      if (quiet_s_ >= tuning_.quiet_s) {
+  TIGER_OUTLINE static void follow(Field& field, const Field& target, float share) {
+    field.norm += share * (target.norm - field.norm);
+    field.dip += share * (target.dip - field.dip);
+  }
+
+  void judge(const HeadingGains& gains, const Vec3& field, bool turning) {
+    const float horizontal = sqrtf(field.x * field.x + field.y * field.y);
+    const Field now = {sqrtf(dot(field, field)), atan2f(-field.z, horizontal)};
+    follow(smooth_, now, smooth_.norm > 0.0f ? gains.share_current : 1.0f);
+
+    if (match(gains, smooth_, reference_)) {
+      quiet_s_ += gains.period_s;
+      if (quiet_s_ >= gains.quiet_s) {
         disturbed_ = false;
-        reference_norm_ += follow * (norm - reference_norm_);
-        reference_dip_ += follow * (dip - reference_dip_);
+        follow(reference_, smooth_, gains.share_reference);
       }
     } else {
       quiet_s_ = 0.0f;
       disturbed_ = true;
     }
-    consider_new_field(norm, dip, rate_radps, follow);
+    consider_new_field(gains, turning);
   }
 
-  bool matches(float norm, float dip, float norm_of, float dip_of) const {
-    return fabsf(norm - norm_of) < tuning_.norm_limit * norm_of &&
-           fabsf(dip - dip_of) < tuning_.dip_limit_rad;
-  }
-
-  void consider_new_field(float norm, float dip, float rate_radps, float follow) {
-    if (!matches(norm, dip, candidate_norm_, candidate_dip_)) {
+  void consider_new_field(const HeadingGains& gains, bool turning) {
+    if (!match(gains, smooth_, candidate_)) {
       candidate_s_ = 0.0f;
-      candidate_norm_ = norm;
-      candidate_dip_ = dip;
+      candidate_ = smooth_;
       return;
     }
-    if (rate_radps >= tuning_.new_field_rate_radps) candidate_s_ += period_s_;
-    candidate_norm_ += follow * (norm - candidate_norm_);
-    candidate_dip_ += follow * (dip - candidate_dip_);
-    const bool first = reference_norm_ == 0.0f;
-    if (disturbed_ && candidate_s_ >= (first ? tuning_.first_field_s : tuning_.new_field_s)) {
-      reference_norm_ = candidate_norm_;
-      reference_dip_ = candidate_dip_;
+    if (turning) candidate_s_ += gains.period_s;
+    follow(candidate_, smooth_, gains.share_reference);
+    const bool first = reference_.norm <= 0.0f;
+    if (disturbed_ && candidate_s_ >= (first ? gains.first_field_s : gains.new_field_s)) {
+      reference_ = candidate_;
       disturbed_ = false;
-      quiet_s_ = tuning_.quiet_s;
+      quiet_s_ = gains.quiet_s;
     }
   }
 
-  // The share of the heading error to correct now: a running mean at first, then first order with tau_s.
-  float gain() {
-    float k = share(period_s_, tuning_.tau_s);
-    if (samples_ < 255) {
+  // The share of the heading error to correct now: a running mean at first, then first order.
+  float gain(const HeadingGains& gains) {
+    if (samples_ < UINT8_MAX) {
       samples_++;
       const float mean = 1.0f / static_cast<float>(samples_);
-      if (mean > k) return mean;
+      if (mean > gains.share) return mean;
     }
     if (!disturbed_) {
-      rejected_s_ -= tuning_.reject_factor * period_s_;
+      rejected_s_ -= gains.reject_factor * gains.period_s;
+      if (rejected_s_ > gains.reject_max_s) rejected_s_ = gains.reject_max_s;
       if (rejected_s_ < 0.0f) rejected_s_ = 0.0f;
-      return k;
+      return gains.share;
     }
-    if (rejected_s_ <= tuning_.reject_max_s) {
-      rejected_s_ += period_s_;
+    if (rejected_s_ <= gains.reject_max_s) {
+      rejected_s_ += gains.period_s;
       return 0.0f;
     }
-    return k / tuning_.reject_factor;
+    return gains.share / gains.reject_factor;
   }
 
-  HeadingTuning tuning_;
-  float period_s_, angle_;
-  float smooth_norm_, smooth_dip_;
-  float reference_norm_, reference_dip_ = 0.0f;
-  float candidate_norm_, candidate_dip_ = 0.0f;
-  float quiet_s_, candidate_s_, rejected_s_;
-  uint8_t samples_;
-  bool disturbed_;
+  float angle_ = 0.0f;
+  Field smooth_ = {}, reference_ = {}, candidate_ = {};
+  float quiet_s_ = 0.0f, candidate_s_ = 0.0f, rejected_s_ = 0.0f;
+  uint8_t samples_ = 0;
+  bool disturbed_ = true;
 };
 
 }  // namespace fusion

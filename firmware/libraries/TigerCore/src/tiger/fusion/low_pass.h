@@ -18,14 +18,18 @@ struct LowPassGains {
   uint16_t warmup;  // samples in one time constant
 };
 
+namespace detail {
+constexpr float series_tan(float x) { return x * (1.0f + x * x * (1.0f / 3.0f + x * x * (2.0f / 15.0f))); }
+constexpr LowPassGains gains_of(float g, uint16_t warmup) {
+  return LowPassGains{1.0f / (1.0f + g * (g + 1.41421356f)), g / (1.0f + g * (g + 1.41421356f)), g, warmup};
+}
+}  // namespace detail
+
 // The corner sits at sqrt(2) / (2 pi tau), which makes the step response settle about as fast as that of a
 // first-order filter of time constant tau. The tangent is its series, good to 0.1 % for period < 0.7 tau.
-inline LowPassGains low_pass_gains(float tau_s, float period_s) {
-  const float x = period_s / (1.41421356f * tau_s);
-  const float x2 = x * x;
-  const float g = x * (1.0f + x2 * (1.0f / 3.0f + x2 * (2.0f / 15.0f)));
-  const float damping = 1.0f / (1.0f + g * (g + 1.41421356f));
-  return LowPassGains{damping, g * damping, g, static_cast<uint16_t>(tau_s / period_s)};
+constexpr LowPassGains low_pass_gains(float tau_s, float period_s) {
+  return detail::gains_of(detail::series_tan(period_s / (1.41421356f * tau_s)),
+                          static_cast<uint16_t>(tau_s / period_s));
 }
 
 template <uint8_t N>

@@ -16,19 +16,25 @@ struct RestTuning {
   float bias_limit_radps = 0.035f;  // a mean rate beyond what a bias can be is a turn, not rest
 };
 
+struct RestGains {
+  float mean_share, gyro_limit2, accel_limit2, bias_limit;
+  uint16_t settle_ticks;
+};
+
+constexpr RestGains rest_gains(const RestTuning& t, float period_s) {
+  return RestGains{period_s / (t.mean_tau_s + period_s), t.gyro_limit_radps * t.gyro_limit_radps,
+                   t.accel_limit_mps2 * t.accel_limit_mps2, t.bias_limit_radps,
+                   static_cast<uint16_t>(t.settle_s / period_s)};
+}
+
 class RestDetector {
  public:
-  void begin(const RestTuning& tuning, float period_s) {
-    weight_ = period_s / (tuning.mean_tau_s + period_s);
-    gyro_limit2_ = tuning.gyro_limit_radps * tuning.gyro_limit_radps;
-    accel_limit2_ = tuning.accel_limit_mps2 * tuning.accel_limit_mps2;
-    bias_limit_ = tuning.bias_limit_radps;
-    settle_ticks_ = static_cast<uint16_t>(tuning.settle_s / period_s);
+  void reset() {
     quiet_ticks_ = 0;
     started_ = false;
   }
 
-  void step(const Vec3& gyro, const Vec3& accel, bool may_rest) {
+  void step(const RestGains& gains, const Vec3& gyro, const Vec3& accel, bool may_rest) {
     if (!started_) {
       gyro_mean_ = gyro;
       accel_mean_ = accel;
@@ -36,26 +42,29 @@ class RestDetector {
     }
     const Vec3 gyro_dev = gyro - gyro_mean_;
     const Vec3 accel_dev = accel - accel_mean_;
-    gyro_mean_ = gyro_mean_ + weight_ * gyro_dev;
-    accel_mean_ = accel_mean_ + weight_ * accel_dev;
-    const bool quiet = may_rest && dot(gyro_dev, gyro_dev) < gyro_limit2_ &&
-                       dot(accel_dev, accel_dev) < accel_limit2_ && fabsf(gyro_mean_.x) < bias_limit_ &&
-                       fabsf(gyro_mean_.y) < bias_limit_ && fabsf(gyro_mean_.z) < bias_limit_;
+    gyro_mean_ = gyro_mean_ + gains.mean_share * gyro_dev;
+    accel_mean_ = accel_mean_ + gains.mean_share * accel_dev;
+    const bool quiet = may_rest && dot(gyro_dev, gyro_dev) < gains.gyro_limit2 &&
+                       dot(accel_dev, accel_dev) < gains.accel_limit2 && may_be_bias(gains.bias_limit);
     if (!quiet) {
       quiet_ticks_ = 0;
-    } else if (quiet_ticks_ < settle_ticks_) {
+    } else if (quiet_ticks_ < gains.settle_ticks) {
       quiet_ticks_++;
     }
+    resting_ = quiet_ticks_ >= gains.settle_ticks;
   }
 
-  bool resting() const { return started_ && quiet_ticks_ >= settle_ticks_; }
+  bool resting() const { return resting_; }
   const Vec3& gyro_mean() const { return gyro_mean_; }
 
  private:
-  Vec3 gyro_mean_, accel_mean_;
-  float weight_, gyro_limit2_, accel_limit2_, bias_limit_;
-  uint16_t settle_ticks_, quiet_ticks_ = 0;
-  bool started_ = false;
+  bool may_be_bias(float limit) const {
+    return fabsf(gyro_mean_.x) < limit && fabsf(gyro_mean_.y) < limit && fabsf(gyro_mean_.z) < limit;
+  }
+
+  Vec3 gyro_mean_ = {}, accel_mean_ = {};
+  uint16_t quiet_ticks_ = 0;
+  bool started_ = false, resting_ = false;
 };
 
 }  // namespace fusion
