@@ -2,8 +2,9 @@
 
     python bench/tune_ride.py NAME [--minutes 3] [--start '{"parameters": [...]}']
 
-Prints the best parameters after every improvement; the winners are copied into `tiger/control/ride_designs.py`.
-Training seeds are 1000 and up, so that the studies (seeds 0 and up) judge on roads and noise never trained on.
+Prints the best parameters after every improvement; the winners are copied into
+`tiger/control/ride_designs.py`. Training seeds are 1000 and up, so that the studies (seeds 0 and up) judge on
+roads and noise never trained on.
 """
 
 from __future__ import annotations
@@ -34,9 +35,8 @@ CAR = FullCarParameters.from_config(load_vehicle("table-6-1"))
 PRINTED_ACTIVE_BUMPY = np.array(
     [0.662, 0.302, 0.215, 0.107, 0.089, 0.043, 0.067, 0.021, 0.029, 0.042, 0.802, 0.747, 0.854, 0.865]
 )
-START = np.log(
-    [1.33, 5.02, 0.77, 0.89, 0.04, 7.95, 2.95, 2.21, 8.73, 3.2e-10, 0.0030, 0.0046, 2.54, 0.05]
-)
+START = np.log([1.33, 5.02, 0.77, 0.89, 0.04, 7.95, 2.95, 2.21, 8.73, 3.2e-10, 0.0030, 0.0046, 2.54, 0.05])
+START_ISO = np.log([1.0, 1.0, 1.0, 1.0, 1.0, 100.0, 100.0, 2000.0, 2000.0, 1e-9, 0.0225, 0.02, 100.0, 0.05])
 SEED = 1000
 
 
@@ -55,7 +55,7 @@ class Bumpy:
 
     factor: float
     preview_s: float | None
-    seeds: int = 4
+    seeds: int = 12
 
     def __post_init__(self) -> None:
         self.noise = ImuNoise().scaled(self.factor)
@@ -74,7 +74,7 @@ class Iso:
 
     goals: Array
     preview_s: float | None
-    roads: int = 5
+    roads: int = 4
     delay: int = 0
     power: float = 30.0
 
@@ -116,7 +116,8 @@ GOALS: dict[str, Callable[[], Callable[[Array], float]]] = {
 
 
 def minimise(goal: Callable[[Array], float], start: Array, step: float, minutes: float, name: str) -> Array:
-    """Run CMA-ES (Hansen 2016, default constants) until the time is up; a design that fails costs infinity."""
+    """Run CMA-ES (Hansen 2016, default constants) until the time is up; a design that fails costs
+    infinity."""
     rng = np.random.default_rng(SEED)
     n = len(start)
     size = 4 + int(3 * np.log(n))
@@ -142,8 +143,18 @@ def minimise(goal: Callable[[Array], float], start: Array, step: float, minutes:
         order = np.argsort(costs)
         if costs[order[0]] < best_cost:
             best, best_cost = mean + step * steps[order[0]], costs[order[0]]
-            print(json.dumps({"name": name, "cost": best_cost, "gen": generation, "step": step,
-                              "parameters": best.tolist()}), flush=True)
+            print(
+                json.dumps(
+                    {
+                        "name": name,
+                        "cost": best_cost,
+                        "gen": generation,
+                        "step": step,
+                        "parameters": best.tolist(),
+                    }
+                ),
+                flush=True,
+            )
         move = weight @ steps[order[:parents]]
         mean = mean + step * move
         whitened = vectors @ ((vectors.T @ move) / scale)
@@ -178,7 +189,8 @@ def main() -> None:
     parser.add_argument("--start", help="JSON with the parameters to start from")
     parser.add_argument("--step", type=float, default=0.2)
     arguments = parser.parse_args()
-    start = START if arguments.start is None else np.array(json.loads(arguments.start)["parameters"])
+    default = START if arguments.name.startswith("bumpy") else START_ISO
+    start = default if arguments.start is None else np.array(json.loads(arguments.start)["parameters"])
     minimise(GOALS[arguments.name](), start, arguments.step, arguments.minutes, arguments.name)
 
 

@@ -1,8 +1,9 @@
 """Chapter 6: a Kalman filter on one noisy IMU and a linear-quadratic regulator over what it estimates.
 
-Measured are [heave acceleration at the IMU, pitch rate, roll rate]. The filter estimates the 14 states of the car and
-the road: four independent wheel roads, or two tracks whose front wheels show the rear wheels their road a wheelbase
-later (preview). The regulator weighs body accelerations and rates, suspension and tyre deflections, and forces.
+Measured are [heave acceleration at the IMU, pitch rate, roll rate]. The filter estimates the 14 states of the
+car and the road: four independent wheel roads, or two tracks whose front wheels show the rear wheels their
+road a wheelbase later (preview). The regulator weighs body accelerations and rates, suspension and tyre
+deflections, and forces.
 """
 
 from __future__ import annotations
@@ -57,16 +58,19 @@ class ImuNoise:
 
 @dataclass(frozen=True, slots=True)
 class RoadPrior:
-    """What the filter believes of a road: q' = v - leak q, v' = bandwidth (noise w - v) with w white of unit intensity.
+    """What the filter believes of a road: q' = v - leak q, v' = bandwidth (noise w - v) with w white of unit
+    intensity.
 
-    `noise` (m/sqrt(s)) is the road rate's density well below `bandwidth_radps`; a class C road at 10 m/s has 0.0225.
+    `noise` (m/sqrt(s)) is the road rate's density well below `bandwidth_radps`; a class C road at 10 m/s has
+    0.0225.
     """
 
     noise: float
     leak_radps: float
     bandwidth_radps: float
     lane_correlation: float = 0.0
-    """Between the noise of the left and of the right lane: 0 for two roads, near 1 for bumps across the road."""
+    """Between the noise of the left and of the right lane: 0 for two roads, near 1 for bumps across the
+    road."""
 
     def dynamics(self) -> tuple[Array, Array]:
         """Return A (2, 2) and the noise input (2,) of [q, v]."""
@@ -105,7 +109,8 @@ class RideWeights:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RideModel:
-    """The car on its road, sampled: s = [car (14), road], s[k+1] = A s + B F + w, IMU = C s + D F, regulated = H s + J F.
+    """The car on its road, sampled: s = [car (14), road], s[k+1] = A s + B F + w, IMU = C s + D F, regulated
+    = H s + J F.
 
     F acts from one sample to the next. The road part is out of reach of F. `process` is the covariance of w.
     """
@@ -123,8 +128,8 @@ class RideModel:
 class RideController:
     """Gains of filter and regulator over `model`, and how late its force acts.
 
-    delay_samples 0: the force computed from a measurement acts at once; 1: it acts a period later, and the regulator
-    works on the state predicted for that time.
+    delay_samples 0: the force computed from a measurement acts at once; 1: it acts a period later, and the
+    regulator works on the state predicted for that time.
     """
 
     model: RideModel
@@ -141,7 +146,8 @@ class RideController:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RideState:
-    """Model state predicted for the next measurement, the force acting until then, and the one to act after it."""
+    """Model state predicted for the next measurement, the force acting until then, and the one to act after
+    it."""
 
     predicted: Array
     acting_n: Array
@@ -151,8 +157,8 @@ class RideState:
 def step(controller: RideController, state: RideState, imu: Array) -> tuple[RideState, Array]:
     """Take one measurement [heave accel, pitch rate, roll rate] and return the new state and the force, N.
 
-    imu is (3,) and the force (4,), or (3, runs) and (4, runs) for runs side by side. (6.22)-(6.23) with the gain in
-    filter form. The force is limited to `max_force_n`, and the filter knows the limited one.
+    imu is (3,) and the force (4,), or (3, runs) and (4, runs) for runs side by side. (6.22)-(6.23) with the
+    gain in filter form. The force is limited to `max_force_n`, and the filter knows the limited one.
     """
     model, limit = controller.model, controller.max_force_n
     innovation = imu - model.c @ state.predicted - model.d @ state.acting_n
@@ -176,8 +182,9 @@ def ride_model(
 ) -> RideModel:
     """Sample the car together with its road.
 
-    preview_s None: four independent roads. Otherwise two tracks, and each rear wheel meets its track `preview_s` after
-    the front wheel; the delay need not be a whole number of samples, but must be at least one.
+    preview_s None: four independent roads. Otherwise two tracks, and each rear wheel meets its track
+    `preview_s` after the front wheel; the delay need not be a whole number of samples, but must be at least
+    one.
     """
     car = full_car(p, imu_offset_m)
     imu = car.select(inputs=FORCE, outputs=IMU)
@@ -233,7 +240,8 @@ def design(
     delay_samples: int = 0,
     max_force_n: float = np.inf,
 ) -> RideController:
-    """Solve both Riccati equations. Raises ValueError where filter or regulator has no stabilising solution."""
+    """Solve both Riccati equations. Raises ValueError where filter or regulator has no stabilising
+    solution."""
     if delay_samples not in (0, 1):
         raise ValueError(f"the force may act 0 or 1 samples late, not {delay_samples}")
     filtered = steady_state_gain(model.a, model.c, model.process, noise.covariance())
@@ -244,8 +252,8 @@ def design(
 def _regulate(model: RideModel, weights: RideWeights) -> Array:
     """Return the feedback of car states and the feed-forward of road states, shape (4, n).
 
-    The road is out of reach, so the Riccati equation is that of the car's 14 states alone; the block of the cost that
-    joins car and road then follows from the linear equation P = A_c'(E' + P S) + Q - G'N.
+    The road is out of reach, so the Riccati equation is that of the car's 14 states alone; the block of the
+    cost that joins car and road then follows from the linear equation P = A_c'(E' + P S) + Q - G'N.
     """
     n = CAR_STATES
     car, from_road, road = model.a[:n, :n], model.a[:n, n:], model.a[n:, n:]
@@ -253,7 +261,9 @@ def _regulate(model: RideModel, weights: RideWeights) -> Array:
     force = np.eye(4) * weights.force
     q, r, cross = output_weights(model.h, model.j, weights.of_outputs(), force)
     regulator = dlqr(car, b, q[:n, :n], r, cross[:n])
-    constant = regulator.closed_loop.T @ regulator.cost @ from_road + q[:n, n:] - regulator.gain.T @ cross[n:].T
+    constant = (
+        regulator.closed_loop.T @ regulator.cost @ from_road + q[:n, n:] - regulator.gain.T @ cross[n:].T
+    )
     joint = _stein(regulator.closed_loop.T, road, constant)
     inner = r + b.T @ regulator.cost @ b
     forward = np.linalg.solve(inner, b.T @ (regulator.cost @ from_road + joint @ road) + cross[n:].T)
@@ -273,7 +283,8 @@ def _stein(left: Array, right: Array, constant: Array) -> Array:
 
 
 def hold(a: Array, b: Array, period_s: float) -> tuple[Array, Array, Array]:
-    """Sample x' = a x + b u: return the transition, the effect of a held input, and that of one rising from 0 to 1."""
+    """Sample x' = a x + b u: return the transition, the effect of a held input, and that of one rising from 0
+    to 1."""
     n, m = b.shape
     block = np.zeros((n + 2 * m, n + 2 * m))
     block[:n, :n], block[:n, n : n + m] = a * period_s, b * period_s
@@ -283,7 +294,8 @@ def hold(a: Array, b: Array, period_s: float) -> tuple[Array, Array, Array]:
 
 
 def _sampled_noise(a: Array, intensity: Array, period_s: float) -> Array:
-    """Return the covariance that white noise of the given intensity leaves after one period (Van Loan 1978)."""
+    """Return the covariance that white noise of the given intensity leaves after one period (Van Loan
+    1978)."""
     n = len(a)
     block = np.zeros((2 * n, 2 * n))
     block[:n, :n], block[:n, n:], block[n:, n:] = -a, intensity, a.T
@@ -295,7 +307,8 @@ def _sampled_noise(a: Array, intensity: Array, period_s: float) -> Array:
 def _assemble(
     a: Array, b: Array, imu: LinearModel, regulated: LinearModel, road: Array, process: Array
 ) -> RideModel:
-    """Put measured and regulated outputs, which see the car's states, the road (4, n) and the force, on the model."""
+    """Put measured and regulated outputs, which see the car's states, the road (4, n) and the force, on the
+    model."""
     rest = np.zeros((1, len(a) - CAR_STATES))
     c = np.hstack([imu.c, np.repeat(rest, len(imu.c), axis=0)])
     h = np.hstack([regulated.c, np.repeat(rest, len(regulated.c), axis=0)]) + regulated.d[:, :4] @ road

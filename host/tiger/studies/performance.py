@@ -1,7 +1,8 @@
 """The performance index of section 6.5, and the simulation it is taken from.
 
-The vehicle runs between the samples of its controller: outputs are evaluated every millisecond, forces are held for a
-controller period and may act late, the road is straight between milliseconds. Many runs go side by side.
+The vehicle runs between the samples of its controller: outputs are evaluated every millisecond, forces are
+held for a controller period and may act late, the road is straight between milliseconds. Many runs go side by
+side.
 """
 
 from __future__ import annotations
@@ -98,9 +99,9 @@ def simulate(
 ) -> RideRun:
     """Drive the car over `road_m`, (fine steps + 1, 4) or (runs, fine steps + 1, 4) at `fine_time_s`.
 
-    One run per seed; with one road, every seed drives the same. controller None is the passive car. `delay_s` is the
-    time from a measurement to the force computed from it, in whole milliseconds. x0 (14,) is the initial state.
-    `measurement` may alter the noisy IMU sample (3, runs) before the controller sees it.
+    One run per seed; with one road, every seed drives the same. controller None is the passive car. `delay_s`
+    is the time from a measurement to the force computed from it, in whole milliseconds. x0 (14,) is the
+    initial state. `measurement` may alter the noisy IMU sample (3, runs) before the controller sees it.
     """
     roads = np.broadcast_to(road_m, (len(seeds), *road_m.shape[-2:]))
     runs, steps = len(seeds), (roads.shape[1] - 1) // FINE_PER_PERIOD

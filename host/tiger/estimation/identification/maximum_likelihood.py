@@ -1,0 +1,227 @@
+"""The builder to use: maximum likelihood over a state-space model, started by vector fitting.
+
+Vector fitting gives every path its own residue at each shared pole: three times the states that the vehicle
+has. Balanced truncation cuts those to the order, and Gauss-Newton then fits poles, B, C and D of exactly that
+order to all paths at once, each response weighted by its measured variance. Poles live in blocks [[0, 1],
+[-k, -g]], so that stability is k > 0 and g > 0. The inverse of the information matrix gives the intervals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tiger.estimation.identification import vector_fitting
+from tiger.estimation.identification.model import IdentifiedModel
+from tiger.estimation.identification.reduction import balanced_truncation, from_blocks, modal_blocks
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from tiger.estimation.identification.frf import FrfData
+
+    Array = NDArray[np.float64]
+    ComplexArray = NDArray[np.complex128]
+
+CANDIDATES = (8, 10, 12, 14, 16)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Parameters of the model, the cost sum |residual|^2 / variance and the inverse information matrix."""
+
+    blocks: Array
+    b: Array
+    c: Array
+    d: Array
+    cost: float
+    covariance: Array
+
+
+def build(data: FrfData, order: int | None = None, iterations: int = 12) -> IdentifiedModel:
+    """Identify a stable model; order None chooses among CANDIDATES by the Bayesian information criterion."""
+    # Two poles more than needed let vector fitting catch the weak modes before the noise does.
+    start_poles = max(CANDIDATES) if order is None else order + 2
+    full = vector_fitting.expand(data, vector_fitting.fit_poles(data, start_poles))
+    if order is None:
+        order, fit, hankel = _choose(data, full, iterations)
+    else:
+        reduced, hankel = balanced_truncation(full, order)
+        fit = refine(data, *modal_blocks(reduced), iterations)
+    return _identified(data, fit, hankel)
+
+
+def _choose(data: FrfData, full: tuple[Array, ...], iterations: int) -> tuple[int, Fit, Array]:
+    """Fit each candidate order briefly, keep the best, and finish it."""
+    system = (full[0], full[1], full[2], full[3])
+    samples = 2 * int(np.isfinite(data.variance).sum())
+    best: tuple[float, int, Fit, Array] | None = None
+    for order in CANDIDATES:
+        reduced, hankel = balanced_truncation(system, order)
+        fit = refine(data, *modal_blocks(reduced), iterations)
+        outputs, inputs = data.response.shape[1:]
+        parameters = order * (outputs + inputs) + outputs * inputs
+        # Twice the negative log-likelihood: real and imaginary part each have half the variance.
+        criterion = 2 * fit.cost + parameters * np.log(samples)
+        if best is None or criterion < best[0]:
+            best = criterion, order, fit, hankel
+    assert best is not None
+    return best[1:]
+
+
+def refine(data: FrfData, blocks: Array, b: Array, c: Array, d: Array, iterations: int) -> Fit:
+    """Run Levenberg-Marquardt from the given blocks; a step that is unstable or worse is shortened."""
+    s = 1j * data.warped_radps()
+    weight = data.weight()
+    x = _pack(blocks, b, c, d)
+    shape = (len(blocks), b.shape[1], c.shape[0])
+    residual, information, gradient = _normal_equations(s, data.response, weight, x, shape)
+    damping = 1e-6
+    for _ in range(iterations):
+        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        scaled = information / np.outer(scale, scale)
+        improved = False
+        for _ in range(8):
+            step = np.linalg.solve(scaled + damping * np.eye(len(x)), gradient / scale) / scale
+            trial = x + step
+            if np.all(trial[: 2 * shape[0]] > 0):
+                cost = _cost(s, data.response, weight, trial, shape)
+                if cost < residual:
+                    improved = True
+                    break
+            damping = max(10 * damping, 1e-6)
+        if not improved:
+            break
+        decrease = (residual - cost) / residual
+        x, damping = trial, max(0.1 * damping, 1e-9)
+        residual, information, gradient = _normal_equations(s, data.response, weight, x, shape)
+        if decrease < 1e-7:
+            break
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    # 2: information of complex residuals. The scaling of each mode is free, hence the pseudo-inverse.
+    inverse = np.linalg.pinv(2 * information / np.outer(scale, scale), rcond=1e-10, hermitian=True)
+    return Fit(*_unpack(x, shape), residual, inverse / np.outer(scale, scale))
+
+
+def _pack(blocks: Array, b: Array, c: Array, d: Array) -> Array:
+    return np.concatenate([blocks.ravel(), b.ravel(), c.ravel(), d.ravel()])
+
+
+def _unpack(x: Array, shape: tuple[int, int, int]) -> tuple[Array, Array, Array, Array]:
+    pairs, inputs, outputs = shape
+    n = 2 * pairs
+    ends = np.cumsum([n, n * inputs, outputs * n])
+    blocks, b, c, d = np.split(x, ends)
+    return blocks.reshape(pairs, 2), b.reshape(n, inputs), c.reshape(outputs, n), d.reshape(outputs, inputs)
+
+
+def _resolvent(s: ComplexArray, blocks: Array) -> ComplexArray:
+    """Return (s - A)^-1 of every block, (k, pairs, 2, 2): [[s + g, 1], [-k, s]] / (s^2 + g s + k)."""
+    k, g = blocks.T
+    determinant = s[:, None] ** 2 + g * s[:, None] + k
+    inverse = np.empty((len(s), len(blocks), 2, 2), dtype=complex)
+    inverse[..., 0, 0] = s[:, None] + g
+    inverse[..., 0, 1] = 1.0
+    inverse[..., 1, 0] = -k
+    inverse[..., 1, 1] = s[:, None]
+    return np.asarray(inverse / determinant[..., None, None])
+
+
+def _states(s: ComplexArray, blocks: Array, b: Array) -> ComplexArray:
+    """Return X = (s - A)^-1 B, (k, n, inputs)."""
+    inverse = _resolvent(s, blocks)
+    split = b.reshape(len(blocks), 2, -1)
+    return np.asarray(np.einsum("kpij,pjm->kpim", inverse, split)).reshape(len(s), -1, b.shape[1])
+
+
+def _cost(s: ComplexArray, h: ComplexArray, weight: Array, x: Array, shape: tuple[int, int, int]) -> float:
+    blocks, b, c, d = _unpack(x, shape)
+    return float(np.sum(np.abs((h - c @ _states(s, blocks, b) - d) * weight) ** 2))
+
+
+def _normal_equations(
+    s: ComplexArray, h: ComplexArray, weight: Array, x: Array, shape: tuple[int, int, int]
+) -> tuple[float, Array, Array]:
+    """Return the cost, J'J and J'r of the weighted residual, J = dH / dx."""
+    jacobian, model = jacobian_of(s, x, shape)
+    size = len(x)
+    r = ((h - model) * weight).reshape(-1)
+    rows = (jacobian * weight[..., None]).reshape(-1, size)
+    on = weight.reshape(-1) > 0
+    rows, r = rows[on], r[on]
+    stacked = np.concatenate([rows.real, rows.imag])
+    target = np.concatenate([r.real, r.imag])
+    return float(target @ target), stacked.T @ stacked, stacked.T @ target
+
+
+def jacobian_of(s: ComplexArray, x: Array, shape: tuple[int, int, int]) -> tuple[ComplexArray, ComplexArray]:
+    """Return dH/dx (k, outputs, inputs, parameters) and H (k, outputs, inputs)."""
+    pairs, inputs, outputs = shape
+    n = 2 * pairs
+    blocks, b, c, d = _unpack(x, shape)
+    states = _states(s, blocks, b)
+    inverse = _resolvent(s, blocks)
+    read = np.einsum("opi,kpij->kopj", c.reshape(outputs, pairs, 2), inverse)  # C (s - A)^-1
+    jacobian = np.zeros((len(s), outputs, inputs, len(x)), dtype=complex)
+    # dA = -dk e2 e1' - dg e2 e2' in each block.
+    by_block = states.reshape(len(s), pairs, 2, inputs)
+    from_a = -np.einsum("kop,kpim->kompi", read[..., 1], by_block)
+    jacobian[..., :n] = from_a.reshape(len(s), outputs, inputs, n)
+    flat_read = read.reshape(len(s), outputs, n)
+    at_b = jacobian[..., n : n + n * inputs].reshape(len(s), outputs, inputs, n, inputs)
+    for j in range(inputs):
+        at_b[:, :, j, :, j] = flat_read
+    at_c = jacobian[..., n + n * inputs : n + n * (inputs + outputs)].reshape(
+        len(s), outputs, inputs, outputs, n
+    )
+    for i in range(outputs):
+        at_c[:, i, :, i, :] = np.moveaxis(states, 1, 2)
+    at_d = np.eye(outputs * inputs).reshape(outputs, inputs, outputs * inputs)
+    jacobian[..., n + n * (inputs + outputs) :] = at_d
+    return jacobian, c @ states + d
+
+
+def _identified(data: FrfData, fit: Fit, hankel: Array) -> IdentifiedModel:
+    blocks, a = fit.blocks, from_blocks(fit.blocks)
+    k, g = blocks.T
+    oscillates = g**2 < 4 * k
+    order = np.argsort(k[oscillates])
+    frequency = np.sqrt(k) / (2 * np.pi)
+    damping = g / (2 * np.sqrt(k))
+    modes, spread = [], []
+    for i in np.flatnonzero(oscillates)[order]:
+        local = fit.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+        to_frequency = np.array([frequency[i] / (2 * k[i]), 0.0])
+        to_damping = np.array([-damping[i] / (2 * k[i]), 1 / (2 * np.sqrt(k[i]))])
+        modes.append([frequency[i], damping[i]])
+        spread.append([np.sqrt(v @ local @ v) for v in (to_frequency, to_damping)])
+    return IdentifiedModel(
+        a,
+        fit.b,
+        fit.c,
+        fit.d,
+        data.sample_s,
+        hankel,
+        np.array(modes),
+        np.array(spread),
+        fit.covariance,
+    )
+
+
+def response_std(model: IdentifiedModel, frequency_hz: Sequence[float] | Array) -> tuple[Array, Array]:
+    """Return the standard deviations of real and imaginary part of the model's responses, (k, outputs,
+    inputs) each."""
+    if model.parameter_covariance is None:
+        raise ValueError("this model carries no parameter covariance: build it by maximum likelihood")
+    s = 2j / model.sample_s * np.tan(np.pi * np.asarray(frequency_hz) * model.sample_s)
+    blocks = np.column_stack([-model.a[1::2, ::2].diagonal(), -model.a[1::2, 1::2].diagonal()])
+    shape = (len(blocks), model.b.shape[1], model.c.shape[0])
+    jacobian, _ = jacobian_of(s, _pack(blocks, model.b, model.c, model.d), shape)
+    covariance = model.parameter_covariance
+    real = np.einsum("...i,ij,...j->...", jacobian.real, covariance, jacobian.real)
+    imag = np.einsum("...i,ij,...j->...", jacobian.imag, covariance, jacobian.imag)
+    return np.sqrt(real), np.sqrt(imag)
