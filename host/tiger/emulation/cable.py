@@ -66,7 +66,7 @@ class Cable:
     """Two-way serial line: `host_…` methods are the daemon's end, `board_…` methods the emulated board's.
 
     `cut()` breaks the line: bytes on both sides vanish and the host's port reports an error until `mend()`.
-    `silence()` keeps the port open but lets nothing through, as a hung USB bridge does.
+    While `is_silent`, the port stays open but nothing comes through, as with a hung USB bridge.
     """
 
     def __init__(self, noise: LineNoise = LineNoise(), seed: int = 0) -> None:
@@ -91,10 +91,6 @@ class Cable:
     def mend(self) -> None:
         """Put the plug back."""
         self.is_cut = False
-
-    def silence(self, on: bool) -> None:
-        """Let nothing through in either direction while `on`."""
-        self.is_silent = on
 
     def host_write(self, data: bytes) -> None:
         """Send bytes from the daemon to the board."""

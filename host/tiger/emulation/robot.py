@@ -6,12 +6,13 @@
     robot.cables["suspension"].host_read()            # what it hears
     robot.truth()                                     # for tests and plots only
 
-One `run` is: duties and speeds move the world, the world moves the pins, the boards run, bytes move along the wires.
-It depends on nothing but its arguments and the bytes that came in, so two robots given the same are equal.
+One `run` is: duties and speeds move the world, the world moves the pins, the boards run, bytes move along the
+wires. It depends on nothing but its arguments and the bytes that came in: two robots given the same are equal.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from tiger.config.errors import ConfigError
@@ -89,8 +90,10 @@ class EmulatedRobot:
         }
         for name, board in self.boards.items():
             board.set_clock_ppm(RESONATOR_PPM[name])
+        self._exact_counts = self.world.potentiometer.exact_counts
         if scenario.sensor_noise:
             self.imu.set_dither(0.0)  # the world's noise is enough
+            self.suspension.set_noise(self.world.potentiometer.noise_counts)
         else:
             self.suspension.set_noise(0.0)
 
@@ -103,6 +106,7 @@ class EmulatedRobot:
         self._broken_pots: dict[int, float] = {}  # corner -> counts its input shows
         self._stuck_pots: set[int] = set()
         self._counts = [0.0] * 4
+        self._phase: tuple[float, ...] = ()
         self._steps = 0
         self._failures = self._table_of_failures()
         self._plan = self._planned_failures(scenario.fault)
@@ -141,7 +145,7 @@ class EmulatedRobot:
 
     def _set_pins(self) -> None:
         world = self.world
-        counts = (world.potentiometer_volts() * (ADC_COUNTS / 5.0)).tolist()
+        counts = [self._exact_counts(stroke) for stroke in world.stroke_mm]
         for corner in self._stuck_pots:
             counts[corner] = self._counts[corner]
         for corner, shown in self._broken_pots.items():
@@ -156,9 +160,11 @@ class EmulatedRobot:
                 reading.accel_mps2.tolist(), reading.gyro_radps.tolist(), reading.mag_ut.tolist()
             )
         phase = world.tooth_phase
-        for side, (front, rear) in SIDES.items():
-            self.speed[side].set_wheel(0, phase[front])
-            self.speed[side].set_wheel(1, phase[rear])
+        if phase != self._phase:
+            self._phase = phase
+            for side, (front, rear) in SIDES.items():
+                self.speed[side].set_wheel(0, phase[front])
+                self.speed[side].set_wheel(1, phase[rear])
 
     def _run_drives(self) -> None:
         if self._steps % FEEDBACK_EVERY_STEPS == 0:
@@ -191,51 +197,51 @@ class EmulatedRobot:
     # ---- planned failures
 
     def _table_of_failures(self) -> dict[tuple[str, str], Failure]:
-        table: dict[tuple[str, str], Failure] = {}
+        """Return every failure this robot can have, by target and kind."""
+        table: dict[tuple[str, str], Failure] = {
+            ("nano_wire", "cut"): _flag(self, "nano_wire_cut"),
+            ("estop", "press"): _flag(self, "estop_pressed"),
+            ("imu_sensor", "faults"): _value(self.imu.set_faults),
+            ("imu_sensor", "power_cycle"): _once(self.imu.power_cycle_sensor),
+        }
         for name, cable in self.cables.items():
-            table[name, "cut"] = Failure(lambda _, c=cable: c.cut(), lambda _, c=cable: c.mend())
-            table[name, "silence"] = Failure(
-                lambda _, c=cable: c.silence(True), lambda _, c=cable: c.silence(False)
-            )
+            table |= {
+                (name, "cut"): Failure(_ignoring(cable.cut), _ignoring(cable.mend)),
+                (name, "silence"): _flag(cable, "is_silent"),
+            }
         for name, board in self.boards.items():
-            table[name, "hang"] = Failure(lambda _, b=board: b.hang(), _nothing)
-            table[name, "hang_hard"] = Failure(lambda _, b=board: b.hang(interrupts_off=True), _nothing)
-            table[name, "reset"] = Failure(lambda _, b=board: b.reset(EXTERNAL), _nothing)
-            table[name, "brown_out"] = Failure(lambda _, b=board: b.reset(BROWN_OUT), _nothing)
+            table |= {
+                (name, "hang"): _once(board.hang),
+                (name, "hang_hard"): _once(partial(board.hang, interrupts_off=True)),
+                (name, "reset"): _once(partial(board.reset, EXTERNAL)),
+                (name, "brown_out"): _once(partial(board.reset, BROWN_OUT)),
+            }
         for side, drive in self.drives.items():
             name = f"roboteq_{side}"
-            table[name, "silent"] = _attribute(drive, "silent")
-            table[name, "deaf"] = _attribute(drive, "deaf")
-            table[name, "fault_flags"] = Failure(
-                lambda value, d=drive: setattr(d, "fault_flags", int(value)),
-                lambda _, d=drive: setattr(d, "fault_flags", 0),
-            )
-            table[name, "reboot"] = Failure(lambda _, d=drive: d.reboot(), _nothing)
+            table |= {
+                (name, "silent"): _flag(drive, "silent"),
+                (name, "deaf"): _flag(drive, "deaf"),
+                (name, "fault_flags"): _value(partial(setattr, drive, "fault_flags")),
+                (name, "reboot"): _once(drive.reboot),
+            }
         for corner, corner_name in enumerate(CORNER_NAMES):
-            pot = f"potentiometer_{corner_name}"
-            table[pot, "open"] = Failure(
-                lambda _, c=corner: self._broken_pots.update({c: _OPEN_POT_COUNTS}),
-                lambda _, c=corner: self._broken_pots.pop(c, None),
-            )
-            table[pot, "short"] = Failure(
-                lambda _, c=corner: self._broken_pots.update({c: 0.0}),
-                lambda _, c=corner: self._broken_pots.pop(c, None),
-            )
-            table[pot, "stuck"] = Failure(
-                lambda _, c=corner: self._stuck_pots.add(c), lambda _, c=corner: self._stuck_pots.discard(c)
-            )
-        table["nano_wire", "cut"] = _attribute(self, "nano_wire_cut")
-        table["estop", "press"] = _attribute(self, "estop_pressed")
-        table["imu_sensor", "faults"] = Failure(
-            lambda value: self.imu.set_faults(int(value)), lambda _: self.imu.set_faults(0)
-        )
-        table["imu_sensor", "power_cycle"] = Failure(lambda _: self.imu.power_cycle_sensor(), _nothing)
+            name = f"potentiometer_{corner_name}"
+            heals = _ignoring(partial(self._broken_pots.pop, corner, None))
+            opens = _ignoring(partial(self._broken_pots.update, {corner: _OPEN_POT_COUNTS}))
+            shorts = _ignoring(partial(self._broken_pots.update, {corner: 0.0}))
+            sticks = _ignoring(partial(self._stuck_pots.add, corner))
+            frees = _ignoring(partial(self._stuck_pots.discard, corner))
+            table |= {
+                (name, "open"): Failure(opens, heals),
+                (name, "short"): Failure(shorts, heals),
+                (name, "stuck"): Failure(sticks, frees),
+            }
         return table
 
     def _planned_failures(
         self, events: tuple[FaultEvent, ...]
     ) -> list[tuple[int, Callable[[float], None], float]]:
-        """Return (microsecond, action, value), the latest first so that the next one is popped off the end."""
+        """Return (microsecond, action, value), the latest first: the next one is popped off the end."""
         plan = []
         for event in events:
             failure = self._failures.get((event.target, event.kind))
@@ -266,9 +272,29 @@ def _bits(switches: tuple[bool, bool, bool, bool]) -> int:
     return a | b << 1 | c << 2 | d << 3
 
 
-def _nothing(_: float) -> None:
-    """End of a failure that ends by itself."""
+def _ignoring(action: Callable[[], object]) -> Callable[[float], None]:
+    def act(_: float) -> None:
+        action()
+
+    return act
 
 
-def _attribute(owner: object, name: str) -> Failure:
-    return Failure(lambda _: setattr(owner, name, True), lambda _: setattr(owner, name, False))
+def _once(action: Callable[[], object]) -> Failure:
+    """A failure that ends by itself."""
+    return Failure(_ignoring(action), _ignoring(lambda: None))
+
+
+def _flag(owner: object, name: str) -> Failure:
+    return Failure(
+        _ignoring(partial(setattr, owner, name, True)), _ignoring(partial(setattr, owner, name, False))
+    )
+
+
+def _value(set_to: Callable[[int], object]) -> Failure:
+    def begin(value: float) -> None:
+        set_to(int(value))
+
+    def end(_: float) -> None:
+        set_to(0)
+
+    return Failure(begin, end)

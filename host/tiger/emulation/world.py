@@ -126,7 +126,7 @@ class World:
         self._felt = (np.zeros(3), np.zeros(3))
         self._field = np.zeros(3)
         self._magnetic_s = 0.0
-        self._potentiometer = Potentiometer(actuator.stroke_max_mm)
+        self.potentiometer = Potentiometer(actuator.stroke_max_mm)
         self._random_pot = random_pot if noisy else None
         self._gears = [QuadratureGear(random=random_gear if noisy else None) for _ in range(4)]
         self._current = MotorCurrent()
@@ -165,11 +165,11 @@ class World:
 
     def potentiometer_volts(self) -> Array:
         """Wiper voltages, (4,), of a 5 V supply; every call is a new sample."""
-        return self._potentiometer.volts(self._stroke_mm, self._random_pot)
+        return self.potentiometer.volts(self._stroke_mm, self._random_pot)
 
     def potentiometer_counts(self) -> NDArray[np.int64]:
         """Counts 0..1023 of a 10-bit ratiometric converter, (4,); every call is a new sample."""
-        return self._potentiometer.counts(self.potentiometer_volts())
+        return self.potentiometer.counts(self.potentiometer_volts())
 
     @property
     def lower_switches(self) -> tuple[bool, bool, bool, bool]:

@@ -53,7 +53,7 @@ def test_a_cut_cable_loses_what_was_under_way_and_carries_again_once_mended() ->
 
 def test_a_silent_cable_stays_open_but_carries_nothing() -> None:
     cable = Cable()
-    cable.silence(True)
+    cable.is_silent = True
     cable.host_write(b"lost")
     assert not cable.is_cut
     assert cable.board_read() == b""

@@ -21,17 +21,23 @@ POT = Potentiometer(stroke_max_mm=70.0, volts_at_zero_stroke=0.1, volts_at_full_
 
 @given(st.floats(0.0, 70.0))
 def test_counts_give_the_stroke_back_within_half_a_count(stroke: float) -> None:
-    half_count_mm = 0.5 * 5.0 / 1024 / 4.5 * 70.0
+    half_count_mm = 0.5 * 5.0 / 1024 / 4.8 * 70.0
     assert float(POT.stroke_mm(POT.counts(POT.volts(stroke)))) == pytest.approx(
         stroke, abs=half_count_mm + 1e-9
     )
 
 
 def test_wiper_uses_the_configured_part_of_the_supply() -> None:
-    assert POT.volts([0.0, 35.0, 70.0]) == pytest.approx([0.25, 2.5, 4.75])
+    assert POT.volts([0.0, 35.0, 70.0]) == pytest.approx([0.1, 2.5, 4.9])
     narrow = Potentiometer(50.0, volts_at_zero_stroke=4.0, volts_at_full_stroke=1.0)
     assert narrow.volts([0.0, 50.0]) == pytest.approx([4.0, 1.0])
     assert float(narrow.stroke_mm(narrow.counts(narrow.volts(20.0)))) == pytest.approx(20.0, abs=0.05)
+
+
+@given(st.floats(0.0, 70.0))
+def test_exact_counts_agree_with_the_volts(stroke: float) -> None:
+    bent = Potentiometer(70.0, nonlinearity=0.02)
+    assert bent.exact_counts(stroke) == pytest.approx(float(bent.volts(stroke)) / 5.0 * 1024)
 
 
 def test_converter_never_leaves_its_ten_bits() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import pi, sin
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +34,19 @@ class Potentiometer:
         if random is not None:
             volts = volts + self.noise_v * random.standard_normal(np.shape(volts))
         return np.asarray(np.minimum(np.maximum(volts, 0.0), self.supply_v))
+
+    def exact_counts(self, stroke_mm: float) -> float:
+        """Return the converter's input at one stroke in counts, with fractions and without noise."""
+        share = stroke_mm / self.stroke_max_mm
+        if self.nonlinearity:
+            share += self.nonlinearity * sin(2.0 * pi * share)
+        span = self.volts_at_full_stroke - self.volts_at_zero_stroke
+        return (self.volts_at_zero_stroke + span * share) / self.supply_v * ADC_COUNTS
+
+    @property
+    def noise_counts(self) -> float:
+        """Noise of one conversion, root mean square."""
+        return self.noise_v / self.supply_v * ADC_COUNTS
 
     def counts(self, volts: ArrayLike) -> NDArray[np.int64]:
         """Return what the converter makes of each voltage: 0..1023, the supply being its reference."""
