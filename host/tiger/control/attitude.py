@@ -146,7 +146,8 @@ def step(
     present = suspension.pose(lift)
     error = (target.pose.roll_rad - present.roll_rad, target.pose.pitch_rad - present.pitch_rad)
     ride_error = target.pose.ride_mm - present.ride_mm
-    phase = _phase(design, state.phase, target, error, ride_error, dt)
+    centred = max(abs(ride_error), abs(present.warp_mm)) < design.config.ride_settle_mm
+    phase = _phase(design, state.phase, target, error, ride_error, centred, dt)
     if phase.moving:
         speed = suspension.pose(tuple(m * v for m, v in zip(ratio, rate, strict=True)))
         wanted = _feedback(design, target, error, ride_error, present.warp_mm, speed)
@@ -165,13 +166,14 @@ def _phase(
     target: Target,
     error: tuple[float, float],
     ride_error_mm: float,
+    centred: bool,
     dt: float,
 ) -> Phase:
     """Decide whether to move: from having left the dead zone until near zero error on still ground.
 
     A move begins when the error beyond the zone has summed up to the patience: at once when it is large, not
-    at all when the ground shook and is back. Ground that wakes us again soon after we rested will do so again:
-    each time we wait twice as long before the next rest.
+    at all when the ground shook and is back. Ground that wakes us again soon after we rested will go
+    on doing so: each time we wait twice as long before the next rest.
     """
     config = design.config
     keep = math.exp(-dt / _STILL_SMOOTHING_S)
@@ -182,7 +184,7 @@ def _phase(
     still = max(abs(turning[0]), abs(turning[1])) < design.still_radps
     worst = max(abs(error[0]), abs(error[1]))
     if last.moving:
-        arrived = worst < design.settle_rad and abs(ride_error_mm) < config.ride_settle_mm
+        arrived = worst < design.settle_rad and centred
         quiet_s = last.quiet_s + dt if still and arrived else 0.0
         if quiet_s < last.still_time_s:
             return Phase(True, 0.0, quiet_s, last.still_time_s, turning)

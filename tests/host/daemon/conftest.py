@@ -14,7 +14,7 @@ from tiger.config.robot import load_robot
 from tiger.daemon import controller
 from tiger.emulation.scenarios import PlateSegment, Scenario
 from tiger.emulation.world import World
-from tiger.record import Command, ImuSample, Inputs, StrokeSample
+from tiger.record import Command, ImuSample, Inputs, Outputs, StrokeSample
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,7 +41,7 @@ class Run:
     plate_deg: NDArray[np.float64]
     stroke_mm: NDArray[np.float64]
     command_mmps: NDArray[np.float64]
-    outputs: list[controller.Outputs] = field(repr=False)
+    outputs: list[Outputs] = field(repr=False)
 
     def after(self, start_s: float, end_s: float = math.inf) -> NDArray[np.bool_]:
         """Select the ticks from `start_s` to `end_s`."""
@@ -99,12 +99,15 @@ class Bench:
             state, output = controller.step(design, state, inputs, TICK_S)
             outputs.append(output)
             truth = world.truth()
+            estimate = output.estimate
             rows.append(
-                (now, truth.roll_deg, truth.pitch_deg)
-                + (math.degrees(output.estimate.roll_rad), math.degrees(output.estimate.pitch_rad))
-                + (truth.plate_roll_deg, truth.plate_pitch_deg)
-                + truth.stroke_mm
-                + output.stroke_rate_mmps
+                (
+                    *(now, truth.roll_deg, truth.pitch_deg),
+                    *(math.degrees(estimate.roll_rad), math.degrees(estimate.pitch_rad)),
+                    *(truth.plate_roll_deg, truth.plate_pitch_deg),
+                    *truth.stroke_mm,
+                    *output.stroke_rate_mmps,
+                )
             )
             commands.append(output.stroke_rate_mmps)
             duty = [rate / self.robot.actuator.max_rate_mmps for rate in commands.popleft()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from itertools import permutations
 from typing import TYPE_CHECKING
 
@@ -101,14 +102,14 @@ def test_a_slow_harmonic_leaves_little(bench, axis, amplitude_deg, frequency_hz)
     assert residual.std(axis=0).max() <= 0.02 * amplitude_deg
 
 
-def test_a_small_slow_harmonic_stays_within_the_dead_zone(bench) -> None:
+def test_a_small_slow_harmonic_is_followed_once_it_has_shown_that_it_comes_back(bench) -> None:
     run = bench.run(45.0, (harmonic("roll", 0.5, 0.05),))
-    assert np.abs(run.attitude_deg[run.after(10.0)]).max() <= 0.23
+    residual = np.abs(run.attitude_deg)
+    assert residual.max() <= 0.27
+    assert residual[run.after(30.0)].max() <= 0.05
 
 
 def test_levelling_stands_an_imu_at_the_edge_of_its_calibration(bench) -> None:
-    from dataclasses import replace
-
     # 0.02 m/s2 of accelerometer offset tilts the measured vertical by 0.117 degrees.
     tilted = replace(bench, imu_tilt_deg=0.117, gyro_bias_degps=0.02)
     run = tilted.run(14.0, (step_of("roll", 5.0),))
@@ -118,8 +119,6 @@ def test_levelling_stands_an_imu_at_the_edge_of_its_calibration(bench) -> None:
 
 
 def test_a_gyro_bias_left_by_the_board_is_found_and_moves_nothing(bench) -> None:
-    from dataclasses import replace
-
     run = replace(bench, gyro_bias_degps=0.1).run(60.0)
     found = run.outputs[-1].estimate.gyro_bias_radps
     assert np.degrees(found) == pytest.approx([0.1, 0.1], abs=0.03)
@@ -203,19 +202,15 @@ def test_a_change_of_mode_is_bumpless_from_100_poses(bench, first: Mode, second:
 def random_change(bench, rng: np.random.Generator, first: Mode, second: Mode):
     """Start anywhere, change from one mode to another in the middle of a move."""
     low, high = bench.robot.stroke_range_mm
-    at = rng.uniform(0.2, 1.5)
+    at, roll, pitch, ride = rng.uniform(0.2, 1.5), *rng.uniform(-0.1, 0.1, 2), rng.uniform(low, high)
 
-    def command(now: float, roll=rng.uniform(-0.1, 0.1), pitch=rng.uniform(-0.1, 0.1)) -> Command:
+    def command(now: float) -> Command:
         mode = first if now < at else second
-        ride = rng_ride if mode is Mode.POSE else None
-        return Command(mode, roll_rad=roll, pitch_rad=pitch, ride_stroke_mm=ride)
+        return Command(mode, roll, pitch, ride if mode is Mode.POSE else None)
 
-    rng_ride = rng.uniform(low, high)
     start = tuple(rng.uniform(low, high, 4))
-    plate = (
-        step_of("roll", rng.uniform(-4.0, 4.0), at_s=0.5),
-        step_of("pitch", rng.uniform(-4, 4), at_s=0.7),
-    )
+    tilt_deg = rng.uniform(-4.0, 4.0, 2)
+    plate = (step_of("roll", tilt_deg[0], at_s=0.5), step_of("pitch", tilt_deg[1], at_s=0.7))
     return bench.run(3.0, plate, command=command, stroke_mm=start)
 
 
