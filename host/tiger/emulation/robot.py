@@ -7,7 +7,7 @@
     robot.truth()                                     # for tests and plots only
 
 One `run` is: duties and speeds move the world, the world moves the pins, the boards run, bytes move along the
-wires. It depends on nothing but its arguments and the bytes that came in: two robots given the same are equal.
+wires. It depends on nothing but its arguments and the bytes that came in: two robots fed alike are equal.
 """
 
 from __future__ import annotations
