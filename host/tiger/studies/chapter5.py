@@ -9,18 +9,22 @@ from numpy.typing import NDArray
 
 from tiger.config.vehicle import load_vehicle
 from tiger.models.full_car import GRAVITY_MPS2
+from tiger.models.vehicle import Inputs
+from tiger.models.vehicle_kernel import VELOCITY_AT
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from tiger.config.vehicle import VehicleConfig
+    from tiger.models.vehicle import History, Vehicle
     from tiger.studies.report import Report
 
 Array = NDArray[np.float64]
 
 CORNERS = ("FL", "FR", "RL", "RR")
 KMH_TO_MPS = 1.0 / 3.6
+CONTROL_PERIOD_S = 1e-3
 
 ASSUMPTIONS = {
     "tyre": "Magic Formula, Pacejka 2006 App. 3 (205/60R15); the dissertation names no tyre",
@@ -59,12 +63,41 @@ class SpeedHold:
         self._drag = config.tire.rolling_resistance * GRAVITY_MPS2
         self._integral = 0.0
 
-    def torque_nm(self, speed_mps: float, dt_s: float) -> float:
-        """Return the torque of each wheel for the next `dt_s`."""
-        error = self._speed - speed_mps
-        self._integral += error * dt_s
+    def act(self, state: Array, inputs: Inputs) -> None:
+        """Set the four wheel torques for the next control period."""
+        error = self._speed - state[VELOCITY_AT]
+        self._integral += error * CONTROL_PERIOD_S
         wanted = self._gain * error + self._integral_gain * self._integral + self._drag
-        return self._torque_per_acceleration * wanted
+        inputs.wheel_torque_nm[:] = self._torque_per_acceleration * wanted
+
+
+def drive(
+    plant: Vehicle,
+    start: Array,
+    duration_s: float,
+    dt_s: float,
+    act: Callable[[float, Array, Inputs], None],
+    progress: Callable[[float], None] | None = None,
+) -> tuple[History, Array]:
+    """Run `plant` under a controller that acts every millisecond; return samples and inputs at its instants.
+
+    `act(time_s, state, inputs)` sets the inputs held until its next call; the integration step `dt_s` is a
+    whole fraction of that millisecond. Of n + 1 samples the last has no input: the inputs are (n, 34).
+    Raises ValueError for any other step.
+    """
+    substeps = round(CONTROL_PERIOD_S / dt_s)
+    if substeps < 1 or abs(substeps * dt_s - CONTROL_PERIOD_S) > 1e-12:
+        raise ValueError(f"dt_s = {dt_s}; it must be 1 ms or a whole fraction of it")
+    ticks = round(duration_s / CONTROL_PERIOD_S)
+    state, inputs = start.copy(), Inputs()
+    table = np.empty((ticks, inputs.vector.size))
+    for k in range(ticks):
+        act(k * CONTROL_PERIOD_S, state, inputs)
+        table[k] = inputs.vector
+        plant.step(state, inputs, dt_s, substeps)
+        if progress is not None and k % 500 == 0:
+            progress(k / ticks)
+    return plant.simulate(start, table, duration_s, dt_s, substeps), table
 
 
 def rms(values: Array) -> float:

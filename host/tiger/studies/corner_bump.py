@@ -11,14 +11,26 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiger.models.vehicle import Inputs, Vehicle
-from tiger.studies.chapter5 import ASSUMPTIONS, CORNERS, KMH_TO_MPS, SpeedHold, load_car, save_panels
+from tiger.studies.chapter5 import (
+    ASSUMPTIONS,
+    CONTROL_PERIOD_S,
+    CORNERS,
+    KMH_TO_MPS,
+    SpeedHold,
+    drive,
+    load_car,
+    save_panels,
+)
 from tiger.studies.report import Report, Row
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
+Array = NDArray[np.float64]
 
 
 def run(
@@ -38,20 +50,15 @@ def run(
     if not 0.0 <= step_at_s < duration_s:
         raise ValueError(f"step_at_s = {step_at_s} must lie within the run of {duration_s} s")
     config = load_car(vehicle, inertia_divisor)
-    plant, inputs = Vehicle(config), Inputs()
+    plant = Vehicle(config)
     speed = speed_kmh * KMH_TO_MPS
     hold = SpeedHold(config, speed)
-    steps = round(duration_s / dt_s)
-    state = plant.rolling(speed)
-    table = np.empty((steps, inputs.vector.size))
-    for k in range(steps):
-        inputs.post_m[0] = step_m if k * dt_s >= step_at_s - 0.5 * dt_s else 0.0
-        inputs.wheel_torque_nm[:] = hold.torque_nm(float(state[7]), dt_s)
-        table[k] = inputs.vector
-        plant.step(state, inputs, dt_s)
-        if progress is not None and k % 500 == 0:
-            progress(k / steps)
-    history = plant.simulate(plant.rolling(speed), table, steps * dt_s, dt_s)
+
+    def act(time_s: float, state: Array, inputs: Inputs) -> None:
+        hold.act(state, inputs)
+        inputs.post_m[0] = step_m if time_s >= step_at_s - 0.5 * CONTROL_PERIOD_S else 0.0
+
+    history, _ = drive(plant, plant.rolling(speed), duration_s, dt_s, act, progress)
     corners_cm = 100.0 * history.corner_height_m
     angles_deg = np.degrees(history.attitude_rad)
     settled = corners_cm[-1]
@@ -101,6 +108,6 @@ def plot(report: Report, directory: Path) -> list[Path]:
     ]
 
 
-def _extreme(values: np.ndarray) -> float:
+def _extreme(values: Array) -> float:
     """Return the value of largest magnitude, with its sign."""
     return float(values[np.argmax(np.abs(values))])

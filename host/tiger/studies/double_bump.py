@@ -17,7 +17,17 @@ from numpy.typing import NDArray
 from tiger.config.vehicle import load_vehicle
 from tiger.models.terrain import Terrain
 from tiger.models.vehicle import History, Inputs, Vehicle, euler_from_quaternion
-from tiger.studies.chapter5 import ASSUMPTIONS, KMH_TO_MPS, SpeedHold, load_car, peak, rms, save_panels
+from tiger.studies.chapter5 import (
+    ASSUMPTIONS,
+    CONTROL_PERIOD_S,
+    KMH_TO_MPS,
+    SpeedHold,
+    drive,
+    load_car,
+    peak,
+    rms,
+    save_panels,
+)
 from tiger.studies.report import Report, Row
 
 if TYPE_CHECKING:
@@ -60,7 +70,7 @@ def run(
     drivers: dict[str, _Suspension] = {
         "passive": _Passive(),
         "active": law,
-        "eam": SlowEam(law, config, load_vehicle(eam), dt_s),
+        "eam": SlowEam(law, config, load_vehicle(eam)),
     }
     histories: dict[str, History] = {}
     inputs: dict[str, Array] = {}
@@ -202,7 +212,7 @@ class AttitudeForces:
 class SlowEam:
     """The same law through series actuators: a lift of force/spring, as fast and as far as the EAM goes."""
 
-    def __init__(self, law: AttitudeForces, car: VehicleConfig, robot: VehicleConfig, dt_s: float) -> None:
+    def __init__(self, law: AttitudeForces, car: VehicleConfig, robot: VehicleConfig) -> None:
         """Borrow `robot`'s actuator and mechanism for `car`; strokes start in the middle."""
         from tiger.models.eam import Eam
 
@@ -214,17 +224,18 @@ class SlowEam:
         self._curve = Eam.from_vehicle(robot).curve()
         self._stroke_mm = np.full(4, 0.5 * robot.actuator.stroke_max_mm)
         self._datum_mm = float(self._curve.rise_mm(self._stroke_mm[0]))
-        self._dt_s = dt_s
 
     def act(self, state: Array, inputs: Inputs) -> None:
         """Move the strokes towards the wanted lift."""
         target_mm = self._curve.stroke_mm(self._datum_mm + 1e3 * self._law.wanted(state) / self._spring)
         limit = self._actuator.max_rate_mmps
-        lag_s = max(self._actuator.lag_s, self._dt_s)
+        lag_s = max(self._actuator.lag_s, CONTROL_PERIOD_S)
         rate = np.clip((target_mm - self._stroke_mm) / lag_s, -limit, limit)
         inputs.lift_m[:] = 1e-3 * (self._curve.rise_mm(self._stroke_mm) - self._datum_mm)
         inputs.lift_rate_mps[:] = 1e-3 * self._curve.motion_ratio(self._stroke_mm) * rate
-        self._stroke_mm = np.clip(self._stroke_mm + rate * self._dt_s, 0.0, self._actuator.stroke_max_mm)
+        self._stroke_mm = np.clip(
+            self._stroke_mm + rate * CONTROL_PERIOD_S, 0.0, self._actuator.stroke_max_mm
+        )
 
 
 def _cross(
@@ -232,17 +243,13 @@ def _cross(
 ) -> tuple[History, Array]:
     """Drive over the terrain in closed loop; return the history and the inputs (n, 34)."""
     speed = speed_kmh * KMH_TO_MPS
-    start = plant.rolling(speed)
-    state, inputs = start.copy(), Inputs()
     hold = SpeedHold(plant.config, speed)
-    steps = round(duration_s / dt_s)
-    table = np.empty((steps, inputs.vector.size))
-    for k in range(steps):
-        inputs.wheel_torque_nm[:] = hold.torque_nm(float(state[7]), dt_s)
+
+    def act(_: float, state: Array, inputs: Inputs) -> None:
+        hold.act(state, inputs)
         suspension.act(state, inputs)
-        table[k] = inputs.vector
-        plant.step(state, inputs, dt_s)
-    return plant.simulate(start, table, duration_s, dt_s), table
+
+    return drive(plant, plant.rolling(speed), duration_s, dt_s, act)
 
 
 def _figures(history: History) -> dict[str, tuple[float, str]]:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from tiger.models.full_car import GRAVITY_MPS2
 from tiger.models.vehicle import Inputs, Vehicle
-from tiger.studies.chapter5 import ASSUMPTIONS, KMH_TO_MPS, load_car, peak, save_panels
+from tiger.models.vehicle_kernel import BODY_MOMENT_AT, RATE_AT, VELOCITY_AT
+from tiger.studies.chapter5 import ASSUMPTIONS, KMH_TO_MPS, drive, load_car, peak, save_panels
 from tiger.studies.report import Report, Row
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_FORWARD_SPEED, _YAW_RATE = 7, 12
+_FORWARD_SPEED, _YAW_RATE = VELOCITY_AT, RATE_AT + 2
 _HOLD_PER_S = 20.0
 
 
@@ -44,31 +45,24 @@ def run(
     if periods < 3:
         raise ValueError(f"periods = {periods}; at least 3 are needed, one to settle and two to measure")
     config = load_car(vehicle, inertia_divisor)
-    plant, inputs = Vehicle(config), Inputs()
+    plant = Vehicle(config)
     speed = speed_kmh * KMH_TO_MPS
     amplitude, frequency = yaw_rate_amplitude_radps, yaw_rate_frequency_radps
     period = 2.0 * np.pi / frequency
-    steps = round(periods * period / dt_s)
 
-    state = plant.rolling(speed)
-    table = np.empty((steps, inputs.vector.size))
-    for k in range(steps):
-        phase = frequency * k * dt_s
+    def act(time_s: float, state: Array, inputs: Inputs) -> None:
+        phase = frequency * time_s
         yaw_rate, yaw_acceleration = amplitude * np.sin(phase), amplitude * frequency * np.cos(phase)
         _hold(plant, state, inputs, speed, yaw_rate, yaw_acceleration)
-        table[k] = inputs.vector
-        plant.step(state, inputs, dt_s)
-        if progress is not None and k % 500 == 0:
-            progress(k / steps)
-    history = plant.simulate(plant.rolling(speed), table, steps * dt_s, dt_s)
 
-    # Sample 0 .. steps - 1: the last has no input of its own.
+    history, table = drive(plant, plant.rolling(speed), periods * period, dt_s, act, progress)
+
     time = history.time_s[:-1]
     yaw_rate = history.rate_radps[:-1, 2]
     lateral = history.acceleration_mps2[:-1, 1]
     roll = np.degrees(history.attitude_rad[:-1, 0])
     transfer = history.load_transfer[:-1]
-    moment = table[:, 25]
+    moment = table[:, BODY_MOMENT_AT + 2]
     steady = time >= time[-1] - 2.0 * period
     fit = _Sinusoid(time[steady], frequency)
     lateral_amplitude, lateral_phase = fit(lateral[steady])
