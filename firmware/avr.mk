@@ -89,6 +89,8 @@ budget: setup firmware ## Measure flash, RAM, stack and cycles in simavr; write 
 .PHONY: flash
 flash: ## Put an image on a board: BOARD= PORT= [BOOTLOADER=old] [INSTANCE=left|right] [DRY_RUN=1]
 	@$(PYTHON) firmware/flash.py check --board '$(BOARD)' --port '$(PORT)' --bootloader '$(BOOTLOADER)' --instance '$(INSTANCE)'
-	@$(MAKE) --no-print-directory firmware
+	@scripts/system-packages.sh flash
+	@$(MAKE) --no-print-directory $(AVR_OUT)/$(BOARD).hex
+	@AVR_SIZE=$(AVR_SIZE) $(PYTHON) firmware/budget.py sizes $(AVR_OUT)/$(BOARD).elf
 	@$(PYTHON) firmware/flash.py run --board '$(BOARD)' --port '$(PORT)' --bootloader '$(BOOTLOADER)' --instance '$(INSTANCE)' \
 	  $(if $(DRY_RUN),--dry-run)

@@ -34,7 +34,7 @@
 extern "C" {
 #include "avr_board.h"
 }
-#include "twi_device.h"
+#include "bno055_device.h"
 
 namespace {
 
@@ -98,11 +98,10 @@ struct avr_board {
   avr_watchdog_t* watchdog = nullptr;
   avr_twi_t* twi = nullptr;
   avr_irq_t* twi_input = nullptr;
-  std::unique_ptr<TwiDevice> device;
+  std::unique_ptr<Bno055Device> device;
   int device_address = 0;
   bool addressed = false;
   uint64_t twi_held_until = 0;
-  bool twi_hung = false;
   uint32_t twi_clocks = 0;
   uint8_t twi_direction = 0;
   uint32_t resets = 0;
@@ -214,7 +213,8 @@ void interrupt_running(avr_irq_t*, uint32_t vector, void* param) {
     avr->cycle += entry;
   } else if (board.running_vector != 0) {
     avr_isr& isr = board.isrs[board.running_vector & (kVectors - 1)];
-    const uint32_t cycles = static_cast<uint32_t>(avr->cycle - board.entered_at) + entry;  // RETI takes as long
+    const uint32_t cycles =
+        static_cast<uint32_t>(avr->cycle - board.entered_at) + entry;  // RETI takes as long
     ++isr.count;
     isr.total_cycles += cycles;
     if (cycles > isr.max_cycles) isr.max_cycles = cycles;
@@ -278,7 +278,7 @@ avr_cycle_count_t twi_retime(avr_t* avr, avr_cycle_count_t, void* param) {
     const uint8_t* data = avr->data;
     uint64_t cycles = 9u * (16u + 2u * data[board.twi->r_twbr] * (1u << (2 * (data[board.twi->r_twsr] & 3))));
     if (board.twi_held_until > avr->cycle) cycles += board.twi_held_until - avr->cycle;
-    if (board.twi_hung) {
+    if (board.device != nullptr && board.device->holds_bus()) {
       avr_cycle_timer_cancel(avr, slot->timer, slot->param);
     } else {
       avr_cycle_timer_register(avr, cycles, slot->timer, slot->param);
@@ -294,7 +294,7 @@ void twi_message(avr_irq_t*, uint32_t value, void* param) {
   message.u.v = value;
   const uint8_t what = message.u.twi.msg;
   if ((what & TWI_COND_STOP) == 0) avr_cycle_timer_register(board.avr, 1, twi_retime, &board);
-  if (board.device == nullptr || board.twi_hung) return;
+  if (board.device == nullptr || board.device->holds_bus()) return;
   const uint64_t now_us = board.avr->cycle / (kHz / 1000000);
   const auto acknowledge = [&](bool yes) {
     avr_raise_irq(board.twi_input, avr_twi_irq_msg(TWI_COND_ACK, message.u.twi.addr, yes));
@@ -325,7 +325,7 @@ void port_c_direction(avr_irq_t*, uint32_t value, void* param) {
   board.twi_direction = static_cast<uint8_t>(value);
   if (!was_low || is_low) return;
   ++board.twi_clocks;
-  if (board.twi_clocks >= 9) board.twi_hung = false;
+  if (board.device != nullptr) board.device->clock_pulse();
 }
 
 avr_cycle_count_t stop_here(avr_t* avr, avr_cycle_count_t, void* param) {
@@ -538,22 +538,24 @@ void avr_isr_clear(avr_board* board) { memset(board->isrs, 0, sizeof(board->isrs
 avr_turns avr_turns_read(const avr_board* board) { return board->turns; }
 void avr_turns_clear(avr_board* board) { board->turns = {0, UINT32_MAX, 0, 0}; }
 
-void avr_twi_add_registers(avr_board* board, int address) {
-  board->device.reset(new RegisterFile);
+void avr_bno055_add(avr_board* board, int address) {
+  board->device.reset(new Bno055Device(static_cast<uint8_t>(address)));
   board->device_address = address;
 }
-uint8_t* avr_twi_registers(avr_board* board) {
-  return static_cast<RegisterFile*>(board->device.get())->registers;
+
+void avr_bno055_motion(avr_board* board, const double* accel_mps2, const double* gyro_radps,
+                       const double* mag_ut) {
+  board->device->chip().set_motion(accel_mps2, gyro_radps, mag_ut, 25.0);
 }
-void avr_twi_add_bno055(avr_board* board, int address) {
-  board->device = make_bno055();
-  board->device_address = address;
+
+void avr_bno055_faults(avr_board* board, uint32_t faults) { board->device->chip().set_faults(faults); }
+
+void avr_bno055_stretch(avr_board* board, double probability, uint32_t longest_us) {
+  board->device->chip().set_stretch(probability, longest_us);
 }
-void avr_twi_hold(avr_board* board, uint64_t cycles) { board->twi_held_until = board->avr->cycle + cycles; }
-void avr_twi_hang(avr_board* board, int on) {
-  board->twi_hung = on != 0;
-  board->twi_clocks = 0;
-}
+
+void avr_bno055_dither(avr_board* board, double counts_rms) { board->device->chip().set_dither(counts_rms); }
+
 uint32_t avr_twi_clocks(const avr_board* board) { return board->twi_clocks; }
 
 }  // extern "C"

@@ -1,9 +1,21 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The functions Python calls (cffi reads this file). Times are CPU cycles of 16 MHz since power-on.
 typedef struct avr_board avr_board;
-typedef struct { uint32_t count; uint64_t total_cycles; uint32_t max_cycles; } avr_isr;
-typedef struct { uint32_t rises, falls; uint64_t high_cycles, last_change; int level; } avr_pin;
-typedef struct { uint32_t turns; uint32_t min_cycles, max_cycles; uint64_t total_cycles; } avr_turns;
+typedef struct {
+  uint32_t count;
+  uint64_t total_cycles;
+  uint32_t max_cycles;
+} avr_isr;
+typedef struct {
+  uint32_t rises, falls;
+  uint64_t high_cycles, last_change;
+  int level;
+} avr_pin;
+typedef struct {
+  uint32_t turns;
+  uint32_t min_cycles, max_cycles;
+  uint64_t total_cycles;
+} avr_turns;
 
 avr_board* avr_board_new(const char* mcu, const char* elf_path);
 void avr_board_free(avr_board* board);
@@ -33,9 +45,10 @@ void avr_isr_clear(avr_board* board);
 avr_turns avr_turns_read(const avr_board* board);
 void avr_turns_clear(avr_board* board);
 
-void avr_twi_add_registers(avr_board* board, int address);
-uint8_t* avr_twi_registers(avr_board* board);
-void avr_twi_add_bno055(avr_board* board, int address);
-void avr_twi_hold(avr_board* board, uint64_t cycles);
-void avr_twi_hang(avr_board* board, int on);
+void avr_bno055_add(avr_board* board, int address);
+void avr_bno055_motion(avr_board* board, const double* accel_mps2, const double* gyro_radps,
+                       const double* mag_ut);
+void avr_bno055_faults(avr_board* board, uint32_t faults);
+void avr_bno055_stretch(avr_board* board, double probability, uint32_t longest_us);
+void avr_bno055_dither(avr_board* board, double counts_rms);
 uint32_t avr_twi_clocks(const avr_board* board);

@@ -20,7 +20,7 @@ MODULE = "_simavr"
 
 def sources() -> list[Path]:
     """C++ files of the wrapper, the shared BNO055 model included."""
-    return [HERE / "avr_board.cpp", HERE / "bno055_device.cpp", *NATIVE.glob("bno055_model.cpp")]
+    return [HERE / "avr_board.cpp", HERE / "bno055_device.cpp", NATIVE / "bno055_model.cpp"]
 
 
 def compile_wrapper() -> Path:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -168,8 +168,31 @@ class Board:
         _lib.avr_poke(self._board, address, value)
 
     def add_bno055(self, address: int = 0x28) -> None:
-        """Put the sensor's model on the two-wire bus."""
-        _lib.avr_twi_add_bno055(self._board, address)
+        """Put the sensor's model on the two-wire bus, at rest with z up."""
+        _lib.avr_bno055_add(self._board, address)
+
+    def set_motion(
+        self, accel_mps2: Sequence[float], gyro_radps: Sequence[float], mag_ut: Sequence[float]
+    ) -> None:
+        """What the sensor feels, in its own axes."""
+        _lib.avr_bno055_motion(self._board, list(accel_mps2), list(gyro_radps), list(mag_ut))
+
+    def set_sensor_faults(self, faults: int) -> None:
+        """Faults of the sensor that are on: bits as in firmware/native/native_imu_api.h."""
+        _lib.avr_bno055_faults(self._board, faults)
+
+    def set_stretch(self, probability: float, longest_us: int) -> None:
+        """How often the sensor stretches the clock, and how long at most."""
+        _lib.avr_bno055_stretch(self._board, probability, longest_us)
+
+    def set_dither(self, counts_rms: float) -> None:
+        """Noise of the sensor's registers in counts."""
+        _lib.avr_bno055_dither(self._board, counts_rms)
+
+    @property
+    def bus_clocks(self) -> int:
+        """Clock pulses the program has made by hand to free the two-wire bus."""
+        return int(_lib.avr_twi_clocks(self._board))
 
 
 def run(boards: Iterable[Board], ms: float) -> None:

@@ -8,7 +8,7 @@
 namespace tiger {
 namespace arduino {
 
-constexpr uint16_t kBandgapMv = 1100;     // typical; +-10 % from chip to chip, so this watches changes
+constexpr uint16_t kBandgapMv = 1100;      // typical; +-10 % from chip to chip, so this watches changes
 constexpr uint8_t kBandgapChannel = 0x1E;  // of both chips
 
 // `conversions` added up to `sum`.

@@ -6,7 +6,7 @@
 namespace tiger {
 namespace speed_config {
 
-constexpr uint8_t kWheels = 2;               // front, rear
+constexpr uint8_t kWheels = 2;                // front, rear
 constexpr uint32_t kObservePeriod_us = 1000;  // edges are taken over from the interrupt
 constexpr uint32_t kReportPeriod_us = 10000;  // speed, diagnosis, telemetry, watchdog
 

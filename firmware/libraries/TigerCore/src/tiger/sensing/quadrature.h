@@ -18,13 +18,13 @@ constexpr uint8_t kEdgesPerTooth = 4;
 
 // What the program sees of a decoder, copied in one piece.
 struct EdgeSnapshot {
-  uint16_t now_ticks;                    // clock of the stamps, 0.5 us; wraps after 32.768 ms
-  uint16_t count;                        // wraps; forward counts up
-  uint16_t illegal_counts;               // transitions that skipped a state
+  uint16_t now_ticks;                     // clock of the stamps, 0.5 us; wraps after 32.768 ms
+  uint16_t count;                         // wraps; forward counts up
+  uint16_t illegal_counts;                // transitions that skipped a state
   uint16_t stamps_ticks[kEdgesPerTooth];  // when the edge of each phase (position & 3) was last crossed
-  uint8_t positions[kEdgesPerTooth];     // where: the low byte of its position
-  uint8_t latest;                        // phase of the last edge
-  uint8_t pins;                          // A in bit 0, B in bit 1
+  uint8_t positions[kEdgesPerTooth];      // where: the low byte of its position
+  uint8_t latest;                         // phase of the last edge
+  uint8_t pins;                           // A in bit 0, B in bit 1
 };
 
 class Quadrature {

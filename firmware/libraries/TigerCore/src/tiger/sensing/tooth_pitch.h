@@ -12,8 +12,8 @@ namespace tiger {
 
 class ToothPitch {
  public:
-  static constexpr uint16_t kMaxIntervals = 320;  // 80 teeth; a finer gear is measured by whole teeth only
-  static constexpr uint16_t kOne = 1u << 14;      // the nominal pitch, one quarter tooth
+  static constexpr uint16_t kMaxIntervals = 320;     // 80 teeth; a finer gear is measured by whole teeth only
+  static constexpr uint16_t kOne = 1u << 14;         // the nominal pitch, one quarter tooth
   static constexpr uint16_t kShortest_ticks = 1600;  // 0.8 ms: faster, learning would cost too much time
 
   void begin(uint16_t intervals) {
@@ -51,9 +51,8 @@ class ToothPitch {
     half_ticks_ -= half_ago;
     if (run_ >= intervals_ && steady()) {
       // The revolution centred on the middle of the opposite interval has half of each end interval.
-      const float centred_ticks =
-          static_cast<float>(revolution_ticks_) +
-          0.5f * (static_cast<float>(interval) - static_cast<float>(turn_ago));
+      const float centred_ticks = static_cast<float>(revolution_ticks_) +
+                                  0.5f * (static_cast<float>(interval) - static_cast<float>(turn_ago));
       blend(opposite, static_cast<float>(half_ago) * static_cast<float>(intervals_) / centred_ticks);
     }
     revolution_ticks_ += interval;
@@ -88,7 +87,8 @@ class ToothPitch {
   // Speed may change by an eighth over a revolution: what a centred mean leaves of that is under 0.1 %.
   bool steady() const {
     const uint32_t other_half = revolution_ticks_ > half_ticks_ ? revolution_ticks_ - half_ticks_ : 0;
-    const uint32_t difference = half_ticks_ > other_half ? half_ticks_ - other_half : other_half - half_ticks_;
+    const uint32_t difference =
+        half_ticks_ > other_half ? half_ticks_ - other_half : other_half - half_ticks_;
     return difference < revolution_ticks_ / 16;
   }
 

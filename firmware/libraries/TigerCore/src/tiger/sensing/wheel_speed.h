@@ -105,7 +105,9 @@ class WheelSpeed {
     age_ticks_ = now_ - latest_.time_ticks;
     if (!start_.valid) start_ = oldest();
     const bool same_edge = crossed == 1 && before.valid && latest_.position == before.position;
-    same_edge_count_ = static_cast<uint8_t>(!same_edge ? 0 : same_edge_count_ < 255 ? same_edge_count_ + 1 : 255);
+    same_edge_count_ = static_cast<uint8_t>(!same_edge               ? 0
+                                            : same_edge_count_ < 255 ? same_edge_count_ + 1
+                                                                     : 255);
     learn_from(before);
     has_news_ = true;
   }
@@ -161,7 +163,8 @@ class WheelSpeed {
     const float age = static_cast<float>(age_ticks_);
     const bool forward = speed_edges_per_tick_ > 0.0f;
     const int32_t next = forward ? latest_.position : latest_.position - 1;
-    const float pitch = static_cast<float>(pitch_.travel(next, next + 1)) / static_cast<float>(ToothPitch::kOne);
+    const float pitch =
+        static_cast<float>(pitch_.travel(next, next + 1)) / static_cast<float>(ToothPitch::kOne);
     const float speed = forward ? speed_edges_per_tick_ : -speed_edges_per_tick_;
     if (age * speed > 1.5f * pitch || age_ticks_ > config_.zero_speed_ms * kTicksPerMs) {
       halt();
@@ -195,7 +198,7 @@ class WheelSpeed {
   int32_t count_;
   float speed_edges_per_tick_;
   Crossing latest_;
-  Crossing start_;                      // first edge after a rest
+  Crossing start_;                       // first edge after a rest
   Crossing crossings_[kEdgesPerTooth];   // newest of each phase
   Crossing references_[kEdgesPerTooth];  // the same at the last update
   uint8_t same_edge_count_;
