@@ -90,7 +90,7 @@ class PtyRobot:
         self._config.unlink(missing_ok=True)
 
     def run(self, duration_s: float, each_step: Callable[[EmulatedRobot], bool] | None = None) -> None:
-        """Keep the robot beside the wall clock for `duration_s` of its time, or until `each_step` returns False."""
+        """Keep the robot beside the wall clock for `duration_s`, or until `each_step` returns False."""
         robot = self.robot
         end_s = robot.time_s + duration_s
         offset_s = time.monotonic() - robot.time_s

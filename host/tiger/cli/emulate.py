@@ -1,0 +1,82 @@
+"""`tiger emulate SCENARIO`: the emulated robot in real time behind pseudo-terminals."""
+
+from __future__ import annotations
+
+import os
+import signal
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from tiger.emulation.robot import EmulatedRobot
+
+
+def default_folder() -> Path:
+    """Where the links to the pseudo-terminals go: a place of this user's own."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    return Path(runtime) / "tiger" if runtime else Path(tempfile.gettempdir()) / f"tiger-{os.getuid()}"
+
+
+def emulate(
+    scenario: Annotated[str, typer.Argument(help="A scenario that comes with TIGER, or the path of one.")],
+    folder: Annotated[
+        Path | None, typer.Option(help="Where the links to the serial lines go (default: a runtime folder).")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    duration: Annotated[
+        float | None, typer.Option(help="Seconds to run; default: until interrupted.", min=0.1)
+    ] = None,
+    vehicle: Annotated[str, typer.Option(help="Vehicle preset or file.")] = "tiger",
+) -> None:
+    """Run the emulated robot in real time; its serial lines appear as links in a folder."""
+    from rich.console import Console
+
+    from tiger.config.errors import ConfigError
+    from tiger.config.vehicle import load_vehicle
+    from tiger.emulation.robot import EmulatedRobot
+    from tiger.emulation.scenarios import load_scenario
+    from tiger.emulation.serve import LINKS, PtyRobot
+
+    console = Console(highlight=False)
+    try:
+        robot = EmulatedRobot(load_vehicle(vehicle), load_scenario(scenario), seed=seed)
+    except ConfigError as error:
+        Console(stderr=True).print(str(error), style="red", markup=False)
+        raise typer.Exit(2) from None
+
+    stopped = False
+
+    def stop(*_: object) -> None:
+        nonlocal stopped
+        stopped = True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+
+    where = default_folder() if folder is None else folder
+    with PtyRobot(robot, where) as served, console.status("") as status:
+        console.print(f"{robot.scenario.title}", markup=False)
+        for link in LINKS.values():
+            console.print(f"  {where / link}", markup=False)
+        console.print(f"In another terminal: tiger run --config {served.folder / 'robot.toml'} --arm")
+
+        def each_step(now: EmulatedRobot) -> bool:
+            if round(now.time_s * 1000) % 200 == 0:
+                status.update(_line(now))
+            return not stopped
+
+        served.run(float("inf") if duration is None else duration, each_step)
+    if served.skipped_s:
+        console.print(f"This computer was too busy: {served.skipped_s:.2f} s were skipped.")
+
+
+def _line(robot: EmulatedRobot) -> str:
+    truth = robot.truth()
+    strokes = " ".join(f"{stroke:5.1f}" for stroke in truth.stroke_mm)
+    return (
+        f"{truth.time_s:7.1f} s  plate {truth.plate_roll_deg:+5.2f} {truth.plate_pitch_deg:+5.2f} deg"
+        f"  body {truth.roll_deg:+5.2f} {truth.pitch_deg:+5.2f} deg  strokes {strokes} mm"
+    )
