@@ -28,6 +28,7 @@ RETRY_S = 0.1  # pause between attempts to configure
 RPM_LIMIT = 65_000  # of !S
 GAP_SHARE = 0.8  # of the watchdog's time without a confirmed command counts as a gap
 FAULTS_IN_A_ROW = 2  # readings of a flag before it is believed: the line has no checksum
+SPEED_JUMP_RPM = 150  # a speed that jumps further between two readings is believed when the next one agrees
 
 
 class FaultFlag(IntFlag):
@@ -224,6 +225,7 @@ class Roboteq:
         self._slow = 0
         self._values: dict[str, tuple[int, ...]] = {}
         self._seen: dict[str, tuple[int, int]] = {}  # last reading of a flag word, and how often in a row
+        self._last_speeds: tuple[int, ...] | None = None
         self._stop = False
         self._go = False
 
@@ -340,8 +342,11 @@ class Roboteq:
         elif name == "FM":
             self._believe("FM1", values[0])
             self._believe("FM2", values[1])
-        elif name == "S" and {"V", "FF"} <= self._values.keys():
-            self.sample = self._sampled(values, now_s)
+        elif name == "S":
+            before, self._last_speeds = self._last_speeds, values
+            plausible = before is not None and _near(values, before)
+            if plausible and {"V", "FF"} <= self._values.keys():
+                self.sample = self._sampled(values, now_s)
 
     def _believe(self, word: str, flags: int) -> None:
         last, times = self._seen.get(word, (flags, 0))
@@ -422,11 +427,15 @@ class Roboteq:
             )
 
     def _notice_gap(self, now_s: float) -> None:
-        """Without confirmed commands its watchdog may have stopped the motors, or it lost power: begin anew."""
+        """Without confirmed commands the watchdog has stopped the motors, or power was lost: begin anew."""
         if self.phase is Phase.CONFIGURING or now_s - self._confirmed_s < self.gap_s:
             return
         self.gaps += self.phase is Phase.RUNNING
         self.connected(now_s)
+
+
+def _near(speeds: tuple[int, ...], others: tuple[int, ...]) -> bool:
+    return all(abs(a - b) <= SPEED_JUMP_RPM for a, b in zip(speeds, others, strict=True))
 
 
 def _whole_rpm(rpm: float) -> int:

@@ -152,6 +152,22 @@ class WheelFlag(IntEnum):
     PITCH_LEARNED = 8  # group at bit 8: the tooth-pitch table is in use
 
 
+ACK_TEXT: dict[AckStatus, str] = {
+    AckStatus.OK: "done",
+    AckStatus.BAD_SCHEMA: "ARM carries another schema hash than the board was built with",
+    AckStatus.BAD_SESSION: "ARM carries an old session: read the new one with HELLO",
+    AckStatus.FAULTED: "a fault is latched: mend it, then CLEAR_FAULTS",
+    AckStatus.ESTOPPED: "the emergency stop is pressed or latched",
+    AckStatus.NOT_READY: "the board is still starting or its sensors are not usable",
+    AckStatus.NOT_ARMED: "the command needs an armed board",
+    AckStatus.NOT_DISARMED: "the command needs a disarmed board",
+    AckStatus.BAD_INDEX: "no parameter has this index",
+    AckStatus.OUT_OF_RANGE: "the value is outside the parameter's limits",
+    AckStatus.STILL_PRESENT: "the cause of a fault is still there",
+    AckStatus.BUSY: "the board is still storing: try again",
+}
+
+
 # ----------------------------------------------------------------------------------------------- faults
 
 
