@@ -92,6 +92,11 @@ class Actuator:
         self.stroke_mm = min(max(self.stroke_mm, self.motor_mm - half), self.motor_mm + half)
 
 
+def as_it_is(corner: int, counts: float) -> float:
+    """A sound potentiometer."""
+    return counts
+
+
 @dataclass
 class SuspensionRig:
     """mega_suspension, its four actuators and a host that sends setpoints every 10 ms while it is told to."""
@@ -104,8 +109,8 @@ class SuspensionRig:
     estop: bool = False
     rates_mmps: tuple[float, ...] | None = None  # None: the host is silent
     engaged: int = 1
-    read_pot: Callable[[int, float], float] = staticmethod(lambda corner, counts: counts)
-    host_clock_ms: Callable[[int], int] = staticmethod(lambda ms: ms)
+    read_pot: Callable[[int, float], float] = as_it_is
+    host_clock_ms: Callable[[int], int] = int
     watch: Callable[[], None] | None = None
 
     def __post_init__(self) -> None:

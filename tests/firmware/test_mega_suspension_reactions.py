@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 
 from tiger.native.boards import EXTERNAL, WATCHDOG
@@ -28,7 +30,7 @@ def moving(rig):
     return rig
 
 
-# --------------------------------------------------------------------------------------------- silence of the host
+# ---------------------------------------------------------------------------------------- silence of the host
 
 
 def test_motion_stops_within_100_ms_of_the_hold_event_when_setpoints_stop(armed):
@@ -94,7 +96,7 @@ def test_after_link_loss_nothing_moves_until_disarm_and_a_fresh_arm_from_neutral
     assert not armed.is_off
 
 
-# --------------------------------------------------------------------------------------------- age of setpoints
+# ------------------------------------------------------------------------------------------ age of setpoints
 
 
 def test_a_burst_that_a_stalled_host_lets_go_is_dropped(armed):
@@ -293,7 +295,7 @@ def test_telemetry_comes_every_10_ms_with_the_time_of_its_sample(armed):
     armed.run_ms(1000)
     states = armed.wire.all(SuspensionState)[before:]
     assert len(states) == 100
-    steps = {b.t_us - a.t_us for a, b in zip(states, states[1:], strict=False)}
+    steps = {b.t_us - a.t_us for a, b in itertools.pairwise(states)}
     assert steps == {10_000}
 
 

@@ -294,9 +294,9 @@ class BoardLink {
 
   void send_pending() {
     if (ack_pending_) ack_pending_ = !send(ack_);
-    if (pong_pending_) pong_pending_ = !send_pong();
     if (hello_pending_) hello_pending_ = !send_hello();
     if (health_pending_) health_pending_ = !send_health();
+    if (pong_pending_) pong_pending_ = !send_pong();
     if (log_text_ != nullptr && send_log()) log_text_ = nullptr;
   }
 
