@@ -10,8 +10,8 @@ r"""An emulated Roboteq HBL2360 motor controller: bytes in, bytes out, a virtual
     drive.reboot()                                # power cycle: only what %EESAV saved survives
 
 Failures to inject: `fault_flags` (?FF bits), `motor_flags[channel]` (?FM bits), `silent` (it says nothing),
-`deaf` (it hears nothing), `noise` (bytes flipped, lost, inserted, doubled on the way out), `say(text)` (a line
-no one asked for). Bytes leave one by one, so whoever reads in between gets a fragment.
+`deaf` (it hears nothing), `noise` (bytes flipped, lost, inserted, doubled on the way out), `say(text)` (a
+line no one asked for). Bytes leave one by one, so whoever reads in between gets a fragment.
 
 Facts from the Advanced Digital Motor Controllers User Manual v1.8, among them the trap every driver must
 defuse: when the watchdog (only "!" commands feed it) has expired, the next valid "!" command on ANY channel

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 from tiger.config.vehicle import load_vehicle
 from tiger.emulation.scenarios import PlateSegment, Scenario, load_scenario
@@ -205,6 +206,19 @@ def test_actuator_carries_its_share_of_the_body_through_the_motion_ratio() -> No
     assert world.truth().actuator_force_n == pytest.approx((expected,) * 4, rel=1e-9)
 
 
+def test_strokes_against_each_other_share_the_load_as_springs_and_tyres_in_series_do() -> None:
+    strokes = (45.0, 25.0, 25.0, 45.0)  # across the diagonal: the body nearly stays, the corners fight
+    curve, world = Eam.from_vehicle(TIGER).curve(), World(TIGER, scenario(stroke_mm=strokes))
+    lifts = np.array([curve.at(stroke)[0] for stroke in strokes]) * 1e-3
+    warp = lifts @ [1.0, -1.0, -1.0, 1.0] / 4.0  # the rest is heave, which costs nothing
+    spring, tire = TIGER.front.spring_npm, TIGER.tire.vertical_stiffness_npm
+    change = warp * spring * tire / (spring + tire) * np.array([1.0, -1.0, -1.0, 1.0])
+    load = TIGER.body.mass_kg * GRAVITY_MPS2 / 4.0 + change
+    expected = load * [curve.at(stroke)[1] for stroke in strokes]
+    assert world.truth().actuator_force_n == pytest.approx(expected, rel=1e-9)
+    assert run(world, 0.5).truth().actuator_force_n == pytest.approx(expected, rel=1e-9)
+
+
 def test_actuator_cannot_push_beyond_its_force_but_can_let_go() -> None:
     actuator = TIGER.actuator.model_copy(update={"max_force_n": 150.0})  # the body alone takes 200
     weak = TIGER.model_copy(update={"actuator": actuator})
@@ -222,6 +236,33 @@ def test_imu_at_rest_feels_gravity_along_the_tilted_body() -> None:
     reading = world.imu()
     np.testing.assert_allclose(reading.accel_mps2, expected, atol=1e-4)
     np.testing.assert_allclose(reading.gyro_radps, 0.0, atol=1e-6)
+
+
+def test_imu_feels_the_true_motion_of_the_point_where_it_sits() -> None:
+    offset = np.array([0.3, -0.2, 0.4])
+    vehicle = TIGER.model_copy(update={"imu_offset_m": tuple(offset)})
+    world = World(
+        vehicle, scenario(ramp("roll", 30.0, over_s=0.3), ramp("pitch", -20.0, at_s=0.05, over_s=0.2))
+    )
+    turns, places, readings = [], [], []
+    for _ in range(600):
+        world.step(MS, (1.0, 0.5, 0.0, -1.0), REST)
+        truth = world.truth()
+        turn = Rotation.from_euler("YX", [truth.pitch_deg, truth.roll_deg], degrees=True)
+        turns.append(turn)
+        places.append(turn.apply(offset) + np.array([0.0, 0.0, truth.heave_m]))
+        readings.append(world.imu())
+    # Differentiated twice by hand, turned into the body, and through the same first-order low-pass.
+    gravity = np.array([0.0, 0.0, GRAVITY_MPS2])
+    acceleration = np.gradient(np.gradient(places, MS, axis=0), MS, axis=0) + gravity
+    spins = [(a.inv() * b).as_rotvec() / (2 * MS) for a, b in zip(turns, turns[2:], strict=False)]
+    felt, turned = gravity.copy(), np.zeros(3)
+    for k in range(2, 598):
+        felt += (1.0 - np.exp(-2.0 * np.pi * 62.5 * MS)) * (turns[k].inv().apply(acceleration[k]) - felt)
+        turned += (1.0 - np.exp(-2.0 * np.pi * 47.0 * MS)) * (spins[k - 1] - turned)
+        if k > 30:
+            np.testing.assert_allclose(readings[k].accel_mps2, felt, atol=0.05)
+            np.testing.assert_allclose(readings[k].gyro_radps, turned, atol=0.005)
 
 
 def test_imu_reads_right_before_the_first_step() -> None:
@@ -302,6 +343,7 @@ def test_a_wheel_accelerates_no_faster_than_its_motor_can() -> None:
     assert TIGER.drive is not None
     limit_rpm = TIGER.drive.max_torque_nm / TIGER.tire.spin_inertia_kgm2 * 0.01 * 30.0 / np.pi
     assert world.wheel_speed_rpm[0] == pytest.approx(limit_rpm, rel=1e-9)
+    assert world.tooth_phase[0] == pytest.approx(0.5 * limit_rpm / 60.0 * 0.01 * 60.0, rel=1e-9)
     assert world.motor_current_a()[0] > 50.0
 
 

@@ -16,19 +16,19 @@ from tiger.models.sensors.potentiometer import Potentiometer
 # ---- potentiometer
 
 
-POT = Potentiometer(stroke_max_mm=70.0, volts_at_zero_stroke=0.1, volts_at_full_stroke=4.9)
+POT = Potentiometer(stroke_max_mm=70.0)
 
 
 @given(st.floats(0.0, 70.0))
 def test_counts_give_the_stroke_back_within_half_a_count(stroke: float) -> None:
-    half_count_mm = 0.5 * 5.0 / 1024 / 4.8 * 70.0
+    half_count_mm = 0.5 * 5.0 / 1024 / 4.5 * 70.0
     assert float(POT.stroke_mm(POT.counts(POT.volts(stroke)))) == pytest.approx(
         stroke, abs=half_count_mm + 1e-9
     )
 
 
 def test_wiper_uses_the_configured_part_of_the_supply() -> None:
-    assert POT.volts([0.0, 35.0, 70.0]) == pytest.approx([0.1, 2.5, 4.9])
+    assert POT.volts([0.0, 35.0, 70.0]) == pytest.approx([0.25, 2.5, 4.75])
     narrow = Potentiometer(50.0, volts_at_zero_stroke=4.0, volts_at_full_stroke=1.0)
     assert narrow.volts([0.0, 50.0]) == pytest.approx([4.0, 1.0])
     assert float(narrow.stroke_mm(narrow.counts(narrow.volts(20.0)))) == pytest.approx(20.0, abs=0.05)
@@ -56,7 +56,7 @@ def test_noise_has_its_size_and_stays_on_the_rails() -> None:
 def test_nonlinearity_bends_by_its_share_of_the_stroke_and_keeps_the_ends() -> None:
     bent = replace(POT, nonlinearity=0.01)
     strokes = np.linspace(0.0, 70.0, 701)
-    error = (bent.volts(strokes) - POT.volts(strokes)) / 4.8
+    error = (bent.volts(strokes) - POT.volts(strokes)) / 4.5
     assert np.abs(error).max() == pytest.approx(0.01, rel=1e-3)
     assert error[[0, -1]] == pytest.approx([0.0, 0.0], abs=1e-12)
 
