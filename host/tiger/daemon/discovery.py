@@ -1,7 +1,7 @@
 """Finds our boards by HELLO among the ports that the config allows, and keeps their lines open.
 
-No other port is ever touched. Two kinds of line have two baud rates, so a port that says nothing is tried with the
-other one in turn. Who sits on which port is asked anew after each replug.
+No other port is ever touched. Two kinds of line have two baud rates, so a port that says nothing is tried
+with the other one in turn. Who sits on which port is asked anew after each replug.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Drive:
-    """One Roboteq and its port; drives the front wheel of its side on channel 1, the rear one on channel 2."""
+    """One Roboteq and its port; channel 1 drives the front wheel of its side, channel 2 the rear one."""
 
     def __init__(self, side: str, path: str, ports: PortProvider, robot: RobotConfig) -> None:
         self.driver = Roboteq(

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tiger.config.robot import SafetyConfig
     from tiger.devices.roboteq import Roboteq
     from tiger.protocol.link import Session
-    from tiger.record import DriveSample, Estimate, ImuSample, Inputs, WheelSample
+    from tiger.record import DriveSample, Estimate, ImuSample, Inputs
 
 RPM_PER_RADPS = 30.0 / math.pi
 CORNERS = ("front left", "front right", "rear left", "rear right")

@@ -1,4 +1,4 @@
-"""What the robot may do: a table of states. Pure; `loop.py` finds the facts and carries out what a state means.
+"""What the robot may do: a table of states. Pure; `daemon.py` finds the facts and carries out the states.
 
 Rows are tried from the top; the first whose condition holds gives the next state. Nothing but the row from
 DISARMED to ARMED ever lets the robot move, and it needs devices that report themselves armed. FAULT and ESTOP
