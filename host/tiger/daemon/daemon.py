@@ -77,7 +77,8 @@ ARM_PATIENCE_S = 3.0  # how long a wish to arm lives
 ARM_TIME_S = 1.0  # from ARM to every device reporting itself armed
 CLEAR_TIME_S = 1.0  # how long a wish to clear faults lives
 LOG_LINES = 20
-NEUTRAL_SEEN = 1 << SuspensionFlag.NEUTRAL_SEEN
+NEUTRAL_SEEN = 1 << SuspensionFlag.NEUTRAL_SEEN.value
+DRIVE_ESTOP = FaultFlag.EMERGENCY_STOP.value
 
 
 class Daemon:
@@ -307,7 +308,7 @@ class Daemon:
     def _estop_pressed(self) -> bool:
         if self._board_state is BoardState.ESTOP:
             return True
-        return any(drive.driver.flags["FF"] & FaultFlag.EMERGENCY_STOP for drive in self.drives)
+        return any(drive.driver.flags["FF"] & DRIVE_ESTOP for drive in self.drives)
 
     def _all_armed(self) -> bool:
         """Whether every device that moves something is armed, and the suspension saw neutral commands."""

@@ -203,18 +203,22 @@ def _seen_on(session: Session, detail: int) -> str:
 
 def drive_faults(drive: Roboteq) -> Iterator[Problem]:
     """What a Roboteq reports, an emergency stop excluded: that is a state of its own."""
+    flags, front, rear = drive.flags["FF"] & _NOT_ESTOP, drive.flags["FM1"], drive.flags["FM2"]
+    if not (flags or (front | rear) & _MOTOR_FAULTS):
+        return
     where = f"{drive.name} on {drive.port}"
-    flags = drive.flags["FF"] & ~FaultFlag.EMERGENCY_STOP
     for bit, name in _named(flags, FaultFlag):
         remedy = REMEDY.get(FaultFlag(bit)) if bit in _DRIVE_FAULTS else None
         yield Problem(ProblemKind.FAULT, where, name, remedy or "Look it up in the controller's manual.")
-    for motor in ("FM1", "FM2"):
-        for _, name in _named(drive.flags[motor] & MOTOR_FAULTS, MotorFlag):
-            place = "front" if motor == "FM1" else "rear"
+    for place, motor_flags in (("front", front), ("rear", rear)):
+        for _, name in _named(motor_flags & _MOTOR_FAULTS, MotorFlag):
             yield Problem(ProblemKind.FAULT, where, f"{place} motor: {name}", "Check for a blocked wheel.")
 
 
 _DRIVE_FAULTS = frozenset(flag.value for flag in FaultFlag)
+# Plain numbers: arithmetic on IntFlag is slow, and this runs every tick.
+_NOT_ESTOP = 0xFFFF & ~FaultFlag.EMERGENCY_STOP.value
+_MOTOR_FAULTS = MOTOR_FAULTS.value
 
 
 def _named(flags: int, kind: type[FaultFlag] | type[MotorFlag]) -> Iterator[tuple[int, str]]:
@@ -227,9 +231,9 @@ class RestCheck:
 
     TIME_CONSTANT_S = 0.5
     SETTLED_AFTER_S = 2.0
-    _READY = 1 << ImuFlag.FILTER_READY
-    _REST = 1 << ImuFlag.REST
-    _CALIBRATED = 1 << ImuFlag.CALIBRATED
+    _READY = 1 << ImuFlag.FILTER_READY.value
+    _REST = 1 << ImuFlag.REST.value
+    _CALIBRATED = 1 << ImuFlag.CALIBRATED.value
 
     def __init__(self, safety: SafetyConfig) -> None:
         self._safety = safety
