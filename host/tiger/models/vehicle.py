@@ -333,9 +333,8 @@ class Vehicle:
         """Wheel places (x, y) relative to the COM, (2, 4)."""
         return np.stack([self._vehicle["x"][0], self._vehicle["y"][0]])
 
-    def energy(self, state: Array, inputs: Inputs) -> float:
-        """Return kinetic, gravity, spring and tyre energy in J on level hard ground (for checks; no lift)."""
-        del inputs
+    def energy(self, state: Array) -> float:
+        """Return kinetic, gravity, spring and tyre energy in J: level road, seats not lifted, no posts."""
         v = self._vehicle[0]
         rotation = _rotation(state[3:7])
         velocity, rate = state[7:10], state[10:13]
