@@ -46,9 +46,8 @@ ffibuilder = make_builder(ROOT)
 def build_in_place() -> Path:
     """Compile beside this file; the old module stays whole until the new one is complete."""
     with tempfile.TemporaryDirectory() as scratch:
-        for source in (NATIVE, TIGER_CORE):
-            (Path(scratch) / source.parent).mkdir(parents=True, exist_ok=True)
-            (Path(scratch) / source).symlink_to(ROOT / source)
+        for source in (NATIVE, TIGER_CORE):  # object files land beside the sources: beside copies, then
+            shutil.copytree(ROOT / source, Path(scratch) / source)
         built = Path(ffibuilder.compile(tmpdir=scratch))
         target = Path(__file__).parent / built.name
         fresh = target.with_suffix(".fresh")

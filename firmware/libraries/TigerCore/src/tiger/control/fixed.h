@@ -32,6 +32,9 @@ inline int16_t clamp16(int16_t x, int16_t limit) {
 
 inline int32_t clamp32(int32_t x, int32_t limit) { return x > limit ? limit : x < -limit ? -limit : x; }
 
+// What x exceeds a dead zone by.
+inline int16_t beyond(int16_t x, int16_t zone) { return static_cast<int16_t>(x - clamp16(x, zone)); }
+
 inline int32_t magnitude(int32_t x) { return x < 0 ? -x : x; }
 
 // x times a Q16 fraction, rounded to nearest.

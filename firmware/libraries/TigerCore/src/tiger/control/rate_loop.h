@@ -23,14 +23,14 @@ class RateLoop {
     integral_ = 0;
   }
 
-  // One tick towards `target`, with the observed rate; the drive as the rate it settles at, within the full speed.
-  int16_t step(int16_t target, int16_t rate) {
-    const int16_t lack = minus(expected_, rate);
+  // One tick towards `wish`, with the observed rate; the drive as the rate it settles at, within the full speed.
+  int16_t step(int16_t wish, int16_t rate) {
+    const int16_t target = clamp16(wish, full_speed_);
+    const int16_t lack = beyond(minus(expected_, rate), kNoise);
     const int32_t wanted = static_cast<int32_t>(target) + lack + (integral_ >> kIntegralShift);
     const int16_t drive = static_cast<int16_t>(clamp32(wanted, full_speed_));
-    // Back-calculation: what saturation cuts off is taken out of the integral.
-    integral_ += lack + ((drive - wanted) << kBackShift);
-    integral_ = clamp32(integral_, kIntegralLimit);
+    integral_ = clamp32(integral_ + lack, kIntegralLimit);
+    take_back(wanted - drive);
     expected_ = saturate16(static_cast<int32_t>(expected_) + scale(minus(drive, expected_), kLagShare));
     return drive;
   }
@@ -44,6 +44,14 @@ class RateLoop {
   int32_t integral() const { return integral_; }
 
  private:
+  // Back-calculation: what saturation cuts off is taken out of the integral, as far as the integral is to blame.
+  void take_back(int32_t excess) {
+    const int32_t left = integral_ - (excess << kBackShift);
+    if (excess > 0 && integral_ > 0) integral_ = left > 0 ? left : 0;
+    if (excess < 0 && integral_ < 0) integral_ = left < 0 ? left : 0;
+  }
+
+  static constexpr int16_t kNoise = 150;              // um/s of the observed rate at rest
   static constexpr uint8_t kIntegralShift = 5;  // 1/32 per tick
   static constexpr uint8_t kBackShift = 2;      // an eighth of the excess per tick
   static constexpr int32_t kIntegralLimit = int32_t{3000} << kIntegralShift;

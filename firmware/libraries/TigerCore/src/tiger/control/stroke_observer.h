@@ -42,7 +42,7 @@ class StrokeObserver {
   static constexpr uint16_t kReadingAge =
       q16(0.67);                             // ticks: half a sweep of conversions and the wait for the tick
   static constexpr uint8_t kStrokeGain = 2;  // 1/4 per tick
-  static constexpr uint8_t kRateGain = 5;    // 1/32 per tick
+  static constexpr uint8_t kRateGain = 6;    // 1/32 per tick
 
   int32_t stroke_ = 0;
   int16_t rate_ = 0;
