@@ -1,4 +1,4 @@
-"""Puts an image on a board with avrdude: the right part, programmer and speed for each (used by `make flash`).
+"""Puts an image on a board with avrdude: the right part, programmer and speed for each (for `make flash`).
 
 Only the standard library: flashing must work before anything is set up.
 """
@@ -80,7 +80,8 @@ def check(board: str, port: str, instance: str) -> None:
         )
     if not port:
         fail(
-            f"PORT is missing, e.g. make flash BOARD={board} PORT=/dev/ttyACM0 (`tiger doctor` lists the ports)"
+            f"PORT is missing, e.g. make flash BOARD={board} PORT=/dev/ttyACM0; "
+            "`tiger doctor` lists the ports"
         )
     if instance and board != "mega_speed":
         fail(f"INSTANCE={instance} is for mega_speed only: there is one {board}")

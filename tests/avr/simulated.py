@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import build_simavr
+
 from tiger.protocol import messages as wire
 from tiger.protocol.frame import FrameDecoder, encode_message
 
@@ -239,9 +240,33 @@ class Host:
         self.log += heard
         return heard
 
-    def ask(self, message: wire.Message, answer: type[Answer], ms: float = 20) -> Answer:
-        """Say something and return the last answer of that type."""
+    def ask(self, message: wire.Message, answer: type[Answer], ms: float = 30) -> Answer:
+        """Say something and return the answer of that type from the node it was meant for."""
+        node = wire.node_of(message)
         self.say(message)
-        heard = [m for m in self.listen(ms) if isinstance(m, answer)]
+        heard = [m for m in self.listen(ms) if isinstance(m, answer) and wire.node_of(m) == node]
         assert heard, f"{self.board.name} did not answer {message} with {answer.__name__} in {ms} ms"
         return heard[-1]
+
+    def hello(self, node: int = 0) -> wire.HelloReply:
+        """Ask a node who it is."""
+        return self.ask(wire.Hello(wire.PROTO, node, 0, 0xBEEF), wire.HelloReply)
+
+    def arm(self, node: int = 0) -> wire.Ack:
+        """Arm a node with the hash and the session it gave."""
+        who = self.hello(node)
+        return self.ask(wire.Arm(node, who.schema_hash, who.session), wire.Ack)
+
+    def health(self, node: int = 0) -> wire.Health:
+        """Return a report made after now."""
+        reports = [m for m in self.listen(210) if isinstance(m, wire.Health) and m.node == node]
+        return reports[-1]
+
+    def command(self, rates_mmps: Sequence[float], ms: int) -> list[wire.Message]:
+        """Send suspension setpoints every 10 ms for a while."""
+        heard: list[wire.Message] = []
+        for _ in range(0, ms, 10):
+            host_ms = (self.board.cycle // CYCLES_PER_MS) & 0xFFFF
+            self.say(wire.SuspensionSetpoint(host_ms, 1, (*rates_mmps,)))
+            heard += self.listen(10)
+        return heard

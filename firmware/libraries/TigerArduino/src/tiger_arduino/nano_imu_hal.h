@@ -11,7 +11,7 @@ namespace tiger {
 namespace arduino {
 
 constexpr uint16_t kMegaReceiveBytes = 64;
-constexpr uint16_t kMegaSendBytes = 128;
+constexpr uint16_t kMegaSendBytes = 64;  // one frame at a time: RAM is short here
 
 static Uart<Uart0Port, kMegaReceiveBytes, kMegaSendBytes> mega_uart;
 static TwiMaster twi_master;
