@@ -130,6 +130,8 @@ def half_track_m(design: DriveDesign, stroke_mm: float) -> float:
 def ramp(now: Ramp, wanted: float, acceleration: float, jerk: float, dt: float) -> Ramp:
     """Bring a value to `wanted` with limited first and second derivative, without overshoot."""
     left = wanted - now.value
+    if abs(left) <= jerk * dt * dt and abs(now.rate) <= jerk * dt:
+        return Ramp(wanted, 0.0)
     # The rate from which steps of jerk * dt still bring it to zero within what is left.
     half = 0.5 * jerk * dt
     braking = math.sqrt(half * half + 2.0 * jerk * abs(left)) - half

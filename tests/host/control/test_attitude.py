@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tiger.config.robot import load_robot
@@ -62,6 +62,7 @@ def test_the_gains_are_stable_and_as_quick_as_the_weights_ask() -> None:
 # ---- allocation ---------------------------------------------
 
 
+@settings(deadline=None)
 @given(
     roll=rate,
     pitch=rate,
@@ -75,6 +76,7 @@ def test_every_actuator_stays_within_its_limits(roll, pitch, ride, ratios, limit
         assert low - 1e-9 <= value <= high + 1e-9
 
 
+@settings(deadline=None)
 @given(
     roll=rate,
     pitch=rate,
@@ -92,6 +94,7 @@ def test_the_turn_keeps_its_direction_and_twists_nothing(roll, pitch, ride, rati
     assert got.warp_mm == pytest.approx(0.0, abs=1e-6)
 
 
+@settings(deadline=None)
 @given(roll=rate, pitch=rate, ratios=four(ratio, ratio, ratio, ratio))
 def test_a_saturated_turn_uses_two_actuators_at_full_speed(roll, pitch, ratios) -> None:
     assume(math.hypot(roll, pitch) > 0.1)
@@ -140,6 +143,7 @@ def test_a_move_does_not_overshoot() -> None:
     assert max(rolls) <= 4.02
 
 
+@settings(deadline=None)
 @given(roll=st.floats(-9, 9), pitch=st.floats(-9, 9), strokes=four(*[st.floats(1.5, 68.5)] * 4))
 def test_no_command_changes_faster_than_the_acceleration_limit(roll, pitch, strokes) -> None:
     state, last = LevelingState(), STILL

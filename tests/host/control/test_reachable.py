@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiger.config.robot import load_robot
@@ -21,11 +21,13 @@ lift = st.floats(0.0, 139.0)
 stroke = st.floats(0.0, 70.0)
 
 
+@settings(deadline=None)
 @given(lifts=st.tuples(lift, lift, lift, lift))
 def test_four_lifts_are_a_plane_and_a_warp(lifts: tuple[float, float, float, float]) -> None:
     assert SUSPENSION.lifts_mm(SUSPENSION.pose(lifts)) == pytest.approx(lifts, abs=1e-9)
 
 
+@settings(deadline=None)
 @given(roll=angle, pitch=angle, ride=lift)
 def test_a_pose_comes_back_from_its_lifts(roll: float, pitch: float, ride: float) -> None:
     pose = SUSPENSION.pose(SUSPENSION.lifts_mm(Pose(roll, pitch, ride)))
@@ -41,12 +43,14 @@ def test_a_positive_roll_lifts_the_left_and_a_positive_pitch_the_rear() -> None:
     assert rl == rr > 0.0 > fl == fr
 
 
+@settings(deadline=None)
 @given(roll=angle, pitch=angle)
 def test_what_is_reachable_finds_all_four_lifts_in_range(roll: float, pitch: float) -> None:
     low, high = SUSPENSION.ride_range_mm(roll, pitch)
     assert SUSPENSION.reachable(roll, pitch) == (low <= high + 1e-6)
 
 
+@settings(deadline=None)
 @given(roll=angle, pitch=angle)
 def test_the_nearest_attitude_is_reachable_and_no_other_is_nearer(roll: float, pitch: float) -> None:
     nearest = SUSPENSION.nearest(roll, pitch)
@@ -79,6 +83,7 @@ def test_the_rate_bound_agrees_with_the_linear_estimate(
     assert bound == pytest.approx(seconds, rel=0.05)
 
 
+@settings(deadline=None)
 @given(
     roll=st.floats(-0.1, 0.1), pitch=st.floats(-0.1, 0.1), strokes=st.tuples(stroke, stroke, stroke, stroke)
 )
