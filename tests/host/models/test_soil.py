@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiger.config.errors import ConfigError
@@ -50,6 +50,7 @@ def test_shear_force_is_the_integral_of_janosi_hanamoto_along_the_patch() -> Non
     assert CONTACT.forces(LOAD_N, slip, 0.0)[0] == pytest.approx(WIDTH_M * np.trapezoid(shear, x), rel=1e-6)
 
 
+@settings(deadline=None)
 @given(loads, st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
 def test_shear_never_exceeds_the_soils_strength_and_opposes_the_sliding(
     load: float, kappa: float, tan_alpha: float
@@ -63,6 +64,7 @@ def test_shear_never_exceeds_the_soils_strength_and_opposes_the_sliding(
     assert fx * tan_alpha == pytest.approx(-fy * kappa, rel=1e-9, abs=1e-9)
 
 
+@settings(deadline=None)
 @given(loads)
 def test_small_slip_series_joins_the_exact_form(load: float) -> None:
     below, above = (CONTACT.forces(load, k, 0.0)[0] / k for k in (1e-7, 1e-2))
@@ -70,6 +72,7 @@ def test_small_slip_series_joins_the_exact_form(load: float) -> None:
     assert CONTACT.forces(load, 0.0, 0.0) == (0.0, 0.0)
 
 
+@settings(deadline=None)
 @given(st.floats(1e-6, 0.3), st.floats(1e3, 1e6))
 def test_tyre_and_soil_in_series_carry_the_same_load(compression: float, stiffness: float) -> None:
     row = CONTACT.parameters[0]
@@ -82,6 +85,7 @@ def test_wheel_clear_of_the_ground_does_not_sink() -> None:
     assert sinkage_of_tire(CONTACT.parameters[0], 30e3, -0.01) == 0.0
 
 
+@settings(deadline=None)
 @given(loads, st.floats(1.01, 3.0))
 def test_heavier_wheels_sink_deeper(load: float, factor: float) -> None:
     assert CONTACT.sinkage_m(load * factor) > CONTACT.sinkage_m(load)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiger.models.terrain import FLAT, Terrain
@@ -26,6 +26,7 @@ def composite() -> Terrain:
 COMPOSITE = composite()
 
 
+@settings(deadline=None)
 @given(x_places, y_places)
 def test_gradient_is_the_slope_of_the_height(x: float, y: float) -> None:
     step = 1e-6
@@ -38,6 +39,7 @@ def test_gradient_is_the_slope_of_the_height(x: float, y: float) -> None:
     assert (height[2] - height[3]) / (2 * step) == pytest.approx(float(slope_y), abs=spread)
 
 
+@settings(deadline=None)
 @given(x_places, y_places)
 def test_flat_ground_is_flat(x: float, y: float) -> None:
     assert FLAT.at(x, y) == (0.0, 0.0, 0.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
@@ -58,6 +58,7 @@ def test_lateral_peak_is_1_010_at_slip_of_14_7_degrees() -> None:
 # ---- laws ------------
 
 
+@settings(deadline=None)
 @given(loads, slips, slips)
 def test_force_stays_within_the_friction_circle(load: float, kappa: float, tan_alpha: float) -> None:
     sweep = np.linspace(-3.0, 3.0, 601)
@@ -68,6 +69,7 @@ def test_force_stays_within_the_friction_circle(load: float, kappa: float, tan_a
     assert np.hypot(fx, fy) <= 1.01 * grip
 
 
+@settings(deadline=None)
 @given(loads, slips, slips)
 def test_mirrored_slip_gives_mirrored_force(load: float, kappa: float, tan_alpha: float) -> None:
     fx, fy = tire().forces(load, kappa, tan_alpha)
@@ -77,6 +79,7 @@ def test_mirrored_slip_gives_mirrored_force(load: float, kappa: float, tan_alpha
     assert (fx_reversed, fy_reversed) == (-fx, fy)
 
 
+@settings(deadline=None)
 @given(loads, slips, slips)
 def test_force_never_drives_the_sliding_on(load: float, kappa: float, tan_alpha: float) -> None:
     fx, fy = tire().forces(load, kappa, tan_alpha)
@@ -84,6 +87,7 @@ def test_force_never_drives_the_sliding_on(load: float, kappa: float, tan_alpha:
     assert fy * tan_alpha <= 0.0
 
 
+@settings(deadline=None)
 @given(st.floats(0.1, 4.0), slips, slips)
 def test_similar_tyres_have_the_same_force_coefficients(
     load_ratio: float, kappa: float, tan_alpha: float
@@ -96,6 +100,7 @@ def test_similar_tyres_have_the_same_force_coefficients(
     np.testing.assert_allclose(small, big, rtol=1e-9, atol=1e-12)
 
 
+@settings(deadline=None)
 @given(st.floats(0.05, 1.5), loads)
 def test_friction_scales_the_peak_and_not_the_stiffness(friction: float, load: float) -> None:
     slip = np.linspace(0.0, 3.0, 3001)
@@ -178,6 +183,7 @@ def test_tread_damping_acts_at_rest_and_has_faded_at_speed() -> None:
     assert contact_forces(row, STATIC_LOAD_N, 0.01, fade, 0.0, 0.0, 0.0) == (0.0, 0.0)
 
 
+@settings(deadline=None)
 @given(
     st.floats(0.0, 30e3),
     *(st.floats(-200.0, 200.0) for _ in range(3)),

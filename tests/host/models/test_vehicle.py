@@ -248,6 +248,7 @@ def any_state(vehicle: Vehicle, numbers: list[float], speed: float) -> np.ndarra
     return state
 
 
+@settings(deadline=None)
 @given(vectors, st.floats(-20.0, 20.0), st.sampled_from([CAR, TIGER]))
 def test_mirrored_vehicle_moves_as_the_mirror_image(
     numbers: list[float], speed: float, config: VehicleConfig
@@ -266,6 +267,7 @@ def test_mirrored_vehicle_moves_as_the_mirror_image(
     np.testing.assert_allclose(there, mirrored(here), rtol=1e-8, atol=1e-8 * np.abs(here).max())
 
 
+@settings(deadline=None)
 @given(vectors, st.floats(-20.0, 20.0), small, small)
 def test_motion_does_not_depend_on_place_or_heading(
     numbers: list[float], speed: float, x: float, heading: float
@@ -281,6 +283,7 @@ def test_motion_does_not_depend_on_place_or_heading(
     np.testing.assert_allclose(there, here, rtol=1e-7, atol=1e-7 * np.abs(here).max())
 
 
+@settings(deadline=None)
 @given(vectors, st.floats(-20.0, 20.0))
 def test_no_tyre_pulls_and_none_exceeds_its_grip(numbers: list[float], speed: float) -> None:
     vehicle = Vehicle(CAR)
@@ -292,7 +295,7 @@ def test_no_tyre_pulls_and_none_exceeds_its_grip(numbers: list[float], speed: fl
         assert np.hypot(*force) <= 1.01 * max(fx.max(), -fy.min()) + 1e-9
 
 
-@settings(max_examples=40)
+@settings(deadline=None, max_examples=40)
 @given(vectors, st.floats(-20.0, 20.0), st.sampled_from([CAR, TIGER]), st.integers(0, 5))
 def test_half_a_second_from_any_state_stays_finite(
     numbers: list[float], speed: float, config: VehicleConfig, seed: int
@@ -305,7 +308,7 @@ def test_half_a_second_from_any_state_stays_finite(
     assert np.isfinite(state).all()
 
 
-@settings(max_examples=30)
+@settings(deadline=None, max_examples=30)
 @given(vectors, st.floats(-20.0, 20.0))
 def test_isolated_body_keeps_its_momentum(numbers: list[float], speed: float) -> None:
     """In the air the total force is the weight and the angular momentum about the common COM stays."""
