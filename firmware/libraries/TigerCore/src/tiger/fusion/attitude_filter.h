@@ -191,6 +191,8 @@ class AttitudeFilter {
 
   void update_heading() {
     heading_.step(gains_.heading, rotate(inclination_, field_), rest_.gyro_mean());
+    bias_.see_heading(heading_.shows_drift(), heading_.correction_rad() * gains_.heading.updates_per_s,
+                      gains_.heading.share);
     mag_waiting_ = false;
     combine();
   }

@@ -1,8 +1,9 @@
 // Gyroscope bias: a Kalman filter with three random-walk states and two kinds of measurement.
 //
 // At rest the mean rate is the bias. In motion the rate at which the inclination needs correcting is what the
-// bias does, seen through the rotation: its horizontal part is a measurement, its vertical part only a weak
-// wish for zero that bounds the drift of what cannot be observed. (Laidig & Seel, Information Fusion 91, 2023.)
+// bias does, seen through the rotation: that measures its horizontal part. The vertical part is measured by the
+// rate at which the heading needs correcting; without a magnetometer to trust, a weak wish for zero bounds the drift
+// of what cannot be observed. (Laidig & Seel, Information Fusion 91, 2023, except for the use of the heading.)
 // The measurement noises are independent, so each row is taken on its own: three scalar updates need no matrix
 // inverse and a third of the cycles.
 #pragma once
@@ -21,13 +22,14 @@ struct BiasTuning {
   float forgetting_s = 100.0f;           // in this time
   float limit_radps = 0.0349f;           // 2 degrees/s: the estimate never leaves +- this
   float sigma_motion_radps = 0.001745f;  // 0.1 degrees/s, where it settles in motion
+  float sigma_heading_radps = 0.00175f;  // 0.1 degrees/s, where the vertical part settles
   float sigma_rest_radps = 0.000524f;    // 0.03 degrees/s, where it settles at rest
   float vertical_factor = 1e-4f;         // how much the unobservable direction counts
 };
 
 struct BiasGains {
   LowPassGains lag;
-  float growth, variance_init, noise_motion, noise_vertical, noise_rest, limit, updates_per_s;
+  float growth, variance_init, noise_motion, noise_heading, noise_vertical, noise_rest, limit, updates_per_s;
 };
 
 namespace detail {
@@ -40,6 +42,7 @@ constexpr BiasGains bias_gains(const BiasTuning& t, const LowPassGains& lag, flo
                    growth,
                    square(t.sigma_init_radps),
                    settled_noise(square(t.sigma_motion_radps), growth),
+                   settled_noise(square(t.sigma_heading_radps), growth),
                    settled_noise(square(t.sigma_motion_radps), growth) / t.vertical_factor,
                    settled_noise(square(t.sigma_rest_radps), growth),
                    t.limit_radps,
@@ -58,6 +61,8 @@ class GyroBias {
   void reset(const BiasGains& gains) {
     bias_ = Vec3{0.0f, 0.0f, 0.0f};
     lag_.reset();
+    vertical_ = vertical_lag_ = 0.0f;
+    sees_vertical_ = false;
     covariance_[0] = Vec3{gains.variance_init, 0.0f, 0.0f};
     covariance_[1] = Vec3{0.0f, gains.variance_init, 0.0f};
     covariance_[2] = Vec3{0.0f, 0.0f, gains.variance_init};
@@ -75,6 +80,14 @@ class GyroBias {
     lag_.update(gains.lag, lagged_, lagged_);
   }
 
+  // The heading, a first-order follower of the field by `share` a step, was corrected at this rate. What it shows
+  // of the bias is late by its time constant, and so is the bias already taken out.
+  void see_heading(bool shows_drift, float correction_radps, float share) {
+    vertical_lag_ += share * (dot(lagged_row(2), bias_) - vertical_lag_);
+    sees_vertical_ = shows_drift;
+    vertical_ = shows_drift ? vertical_lag_ - correction_radps : 0.0f;
+  }
+
   // Rest: `mean_rate` is a measurement of the bias.
   void update_at_rest(const BiasGains& gains, const Vec3& mean_rate) {
     grow(gains);
@@ -89,7 +102,7 @@ class GyroBias {
     grow(gains);
     absorb(gains, lagged_row(0), lagged_[9] - tilt_y * gains.updates_per_s, gains.noise_motion);
     absorb(gains, lagged_row(1), lagged_[10] + tilt_x * gains.updates_per_s, gains.noise_motion);
-    absorb(gains, lagged_row(2), 0.0f, gains.noise_vertical);
+    absorb(gains, lagged_row(2), vertical_, sees_vertical_ ? gains.noise_heading : gains.noise_vertical);
   }
 
  private:
@@ -122,6 +135,8 @@ class GyroBias {
   LowPass<kLagged> lag_;
   float lagged_[kLagged] = {};
   Vec3 bias_ = {};
+  float vertical_ = 0.0f, vertical_lag_ = 0.0f;
+  bool sees_vertical_ = false;
   Vec3 covariance_[3] = {};
 };
 

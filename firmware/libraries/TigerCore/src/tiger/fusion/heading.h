@@ -3,7 +3,10 @@
 // The magnetic field is believed while its strength and dip match a reference that follows them slowly. Where
 // they do not, the heading runs on the gyroscope alone for up to a minute, and then gives way slowly. A
 // foreign field becomes the new reference once it has been steady for a while in motion.
-// (Laidig & Seel, Information Fusion 91, 2023, sections 3.4 and 3.6.)
+// (Laidig & Seel, Information Fusion 91, 2023.) Beyond the paper: a field that turns away from the gyroscope's
+// heading by more than the gyroscope can drift is disturbed too, however right its strength and dip; and what the
+// heading needs correcting while the field is good is handed to the bias estimate, as only it can see the bias
+// about the vertical of a body that is never turned over.
 #pragma once
 
 #include "rotation.h"
@@ -17,27 +20,32 @@ struct HeadingTuning {
   float reference_tau_s = 20.0f;  // how fast the reference follows
   float norm_limit = 0.1f;        // of the reference strength
   float dip_limit_rad = 0.1745f;  // 10 degrees
+  float jump_limit_rad = 0.17f;   // 10 degrees between field and gyroscope
+  float jump_tau_s = 0.5f;        // smoothing of that angle
   float quiet_s = 0.5f;           // undisturbed this long before the field is believed again
   float reject_max_s = 60.0f;
   float reject_factor = 2.0f;
-  float new_field_s = 20.0f;            // a foreign field steady this long, in motion, is the new reference
+  float new_field_s = 60.0f;            // a foreign field steady this long, in motion, is the new reference
   float first_field_s = 5.0f;           // the very first one
   float new_field_rate_radps = 0.349f;  // 20 degrees/s: what counts as motion
 };
 
 struct HeadingGains {
-  float period_s, share, share_current, share_reference;
-  float norm_limit, dip_limit_rad, quiet_s, reject_max_s, reject_factor, new_field_s, first_field_s,
-      new_field_rate2;
+  float period_s, updates_per_s, share, share_current, share_reference, share_jump;
+  float norm_limit, dip_limit_rad, jump_limit_rad, quiet_s, reject_max_s, reject_factor, new_field_s,
+      first_field_s, new_field_rate2;
 };
 
 constexpr HeadingGains heading_gains(const HeadingTuning& t, float period_s) {
   return HeadingGains{period_s,
+                      1.0f / period_s,
                       period_s / (t.tau_s + period_s),
                       period_s / (t.current_tau_s + period_s),
                       period_s / (t.reference_tau_s + period_s),
+                      period_s / (t.jump_tau_s + period_s),
                       t.norm_limit,
                       t.dip_limit_rad,
+                      t.jump_limit_rad,
                       t.quiet_s,
                       t.reject_max_s,
                       t.reject_factor,
@@ -49,7 +57,7 @@ constexpr HeadingGains heading_gains(const HeadingTuning& t, float period_s) {
 class Heading {
  public:
   void reset() {
-    angle_ = 0.0f;
+    angle_ = jump_ = correction_ = 0.0f;
     smooth_.norm = reference_.norm = candidate_.norm = 0.0f;
     quiet_s_ = candidate_s_ = 0.0f;
     rejected_s_ = 1e9f;
@@ -59,19 +67,27 @@ class Heading {
 
   // `field`: magnetic field in the inclined frame (z up, heading free). `rate`: how fast the body turns, averaged.
   void step(const HeadingGains& gains, const Vec3& field, const Vec3& rate) {
-    judge(gains, field, dot(rate, rate) >= gains.new_field_rate2);
     const float error = wrapped(atan2f(field.x, field.y) - angle_);
-    angle_ = wrapped(angle_ + gain(gains) * error);
+    jump_ += gains.share_jump * (error - jump_);
+    judge(gains, field, dot(rate, rate) >= gains.new_field_rate2);
+    correction_ = gain(gains) * error;
+    angle_ = wrapped(angle_ + correction_);
   }
 
   // Angle about the vertical that turns the inclined frame into east-north-up.
   float angle() const { return angle_; }
   bool disturbed() const { return disturbed_; }
+  // What the latest step added to the angle, and whether it tells of the gyroscope's drift alone.
+  float correction_rad() const { return correction_; }
+  bool shows_drift() const { return settled() && !disturbed_; }
 
  private:
   struct Field {  // what of the field does not depend on the heading
     float norm, dip;
   };
+
+  static constexpr uint8_t kSettled = 255;  // samples: 13 s
+  bool settled() const { return samples_ == kSettled; }
 
   static bool match(const HeadingGains& gains, const Field& a, const Field& reference) {
     return fabsf(a.norm - reference.norm) < gains.norm_limit * reference.norm &&
@@ -88,7 +104,8 @@ class Heading {
     const Field now = {sqrtf(dot(field, field)), atan2f(-field.z, horizontal)};
     follow(smooth_, now, smooth_.norm > 0.0f ? gains.share_current : 1.0f);
 
-    if (match(gains, smooth_, reference_)) {
+    const bool jumped = settled() && fabsf(jump_) > gains.jump_limit_rad;
+    if (!jumped && match(gains, smooth_, reference_)) {
       quiet_s_ += gains.period_s;
       if (quiet_s_ >= gains.quiet_s) {
         disturbed_ = false;
@@ -119,7 +136,7 @@ class Heading {
 
   // The share of the heading error to correct now: a running mean at first, then first order.
   float gain(const HeadingGains& gains) {
-    if (samples_ < UINT8_MAX) {
+    if (!settled()) {
       samples_++;
       const float mean = 1.0f / static_cast<float>(samples_);
       if (mean > gains.share) return mean;
@@ -137,7 +154,7 @@ class Heading {
     return gains.share / gains.reject_factor;
   }
 
-  float angle_ = 0.0f;
+  float angle_ = 0.0f, jump_ = 0.0f, correction_ = 0.0f;
   Field smooth_ = {}, reference_ = {}, candidate_ = {};
   float quiet_s_ = 0.0f, candidate_s_ = 0.0f, rejected_s_ = 0.0f;
   uint8_t samples_ = 0;
