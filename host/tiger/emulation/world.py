@@ -9,12 +9,11 @@
     world.motor_current_a(), world.wheel_speed_rpm
     world.truth()                              # attitude, strokes, ride height: for tests and plots
 
-The body is the linear 7-DOF model about mid-stroke at rest, advanced exactly for inputs that are straight
-over a step: the tilt of the plate under the four wheels, and the lift of the four mechanisms (the true curve
-of the EAM). An actuator's rate follows its duty with a first-order lag; it is self-locking, stops at the ends
-of its stroke, and cannot push more than its force limit. The wheels are free to turn, as on stands; + is
-forward. Everything random comes from the seed, so two worlds given the same calls are equal. The BNO055 is
-mounted along the body axes.
+The body is the linear 7-DOF model about mid-stroke at rest (body.py), driven by the tilt of the plate under
+the wheels and by the lift of the four mechanisms (the true curve of the EAM). An actuator's rate follows its
+duty with a first-order lag; it is self-locking, stops at the ends of its stroke, and cannot push more than
+its force limit. The wheels are free to turn, as on stands; + is forward. Everything random comes from the seed:
+two worlds given the same calls are equal. The BNO055 is mounted along the body axes.
 """
 
 from __future__ import annotations
@@ -25,22 +24,12 @@ from math import cos, degrees, exp, nan, pi, radians, sin
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from tiger.config.vehicle import VehicleConfig
+from tiger.emulation.body import BodyOnPlate
 from tiger.emulation.scenarios import PlateAxis, Scenario
 from tiger.models.eam import Eam, MechanismError
-from tiger.models.full_car import (
-    BODY_ACCELERATION,
-    GRAVITY_MPS2,
-    LIFT,
-    LIFT_RATE,
-    ROAD,
-    SUSPENSION,
-    SUSPENSION_RATE,
-    FullCarParameters,
-    full_car,
-)
+from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
 from tiger.models.sensors.gear import QuadratureGear
 from tiger.models.sensors.imu import BNO055, Imu, ImuReading, ImuSpec, TriadSpec
 from tiger.models.sensors.motor_current import MotorCurrent
@@ -59,10 +48,6 @@ WHEEL_LAG_S = 0.1
 
 _MAGNETIC_PERIOD_S = 0.01
 _LONG_S = 1000.0  # after which every low-pass has settled
-
-_STATES = 14
-_INPUTS = 6  # plate roll and pitch, four lifts
-_ROLL, _ROLL_RATE, _PITCH, _PITCH_RATE, _HEAVE = 4, 5, 2, 3, 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +95,6 @@ class World:
         self._lift = [self._curve.at(stroke) for stroke in start]  # (rise mm, motion ratio)
 
         parameters = FullCarParameters.from_config(vehicle)
-        self._parameters = parameters
-        self._model = full_car(parameters)
         body_load = parameters.static_tire_load_n() - parameters.wheel_mass_kg() * GRAVITY_MPS2
         self._preload_n: list[float] = body_load.tolist()
         self._plate = (PlateAxis(scenario.segments("roll")), PlateAxis(scenario.segments("pitch")))
@@ -121,8 +104,6 @@ class World:
         )
         noisy = scenario.sensor_noise
         self._imu = Imu(_imu_spec(noisy), random_imu)
-        self._accel: list[float] = []  # of the body: heave, pitch, roll
-        self._spring_n: list[float] = []
         self._felt = (np.zeros(3), np.zeros(3))
         self._field = np.zeros(3)
         self._magnetic_s = 0.0
@@ -137,12 +118,8 @@ class World:
         self._wheel_angle_rad = [0.0] * 4
 
         self._dt_s = nan  # no step yet
-        self._z = np.zeros(_STATES + 2 * _INPUTS)
-        self._state = self._z[:_STATES]  # views of one vector
-        self._now = self._z[_STATES : _STATES + _INPUTS]
-        self._change = self._z[_STATES + _INPUTS :]
-        self._now[:] = self._inputs()
-        self._settle()
+        self._body = BodyOnPlate(parameters, self._inputs())
+        self._feel(_LONG_S)
 
     # ---- time
 
@@ -158,7 +135,7 @@ class World:
         self._move_actuators(actuator_duty)
         self._turn_wheels(wheel_speed_cmd_rpm)
         self.time_us += self._dt_us
-        self._move_body()
+        self._body.advance(self._inputs())
         self._feel(dt_s)
 
     # ---- what the boards and controllers see
@@ -212,12 +189,12 @@ class World:
     @property
     def roll_deg(self) -> float:
         """True roll."""
-        return degrees(self._z[_ROLL])
+        return degrees(self._body.roll_rad)
 
     @property
     def pitch_deg(self) -> float:
         """True pitch."""
-        return degrees(self._z[_PITCH])
+        return degrees(self._body.pitch_rad)
 
     @property
     def stroke_mm(self) -> Four:
@@ -227,23 +204,24 @@ class World:
 
     def truth(self) -> Truth:
         """Everything true at this moment."""
-        z = self._z.tolist()
+        body = self._body
+        plate_roll, plate_pitch = self._plate
         fl, fr, rl, rr = self._rate_mmps
         forces = [self._actuator_force_n(corner) for corner in range(4)]
         return Truth(
             time_s=self.time_s,
-            roll_deg=degrees(z[_ROLL]),
-            pitch_deg=degrees(z[_PITCH]),
-            roll_rate_degps=degrees(z[_ROLL_RATE]),
-            pitch_rate_degps=degrees(z[_PITCH_RATE]),
-            heave_m=z[_HEAVE],
-            ride_height_m=self.vehicle.body.com_height_m + z[_HEAVE],
+            roll_deg=self.roll_deg,
+            pitch_deg=self.pitch_deg,
+            roll_rate_degps=degrees(body.roll_rate_radps),
+            pitch_rate_degps=degrees(body.pitch_rate_radps),
+            heave_m=body.heave_m,
+            ride_height_m=self.vehicle.body.com_height_m + body.heave_m,
             stroke_mm=self.stroke_mm,
             stroke_rate_mmps=(fl, fr, rl, rr),
             actuator_force_n=(forces[0], forces[1], forces[2], forces[3]),
             wheel_speed_rpm=self.wheel_speed_rpm,
-            plate_roll_deg=degrees(z[_STATES]),
-            plate_pitch_deg=degrees(z[_STATES + 1]),
+            plate_roll_deg=degrees(plate_roll.angle_rad(self.time_s)),
+            plate_pitch_deg=degrees(plate_pitch.angle_rad(self.time_s)),
         )
 
     # ---- physics of one step
@@ -271,7 +249,7 @@ class World:
 
     def _actuator_force_n(self, corner: int) -> float:
         """Push of an actuator: the spring's force seen through the mechanism."""
-        return (self._preload_n[corner] + self._spring_n[corner]) * self._lift[corner][1]
+        return (self._preload_n[corner] + self._body.spring_n[corner]) * self._lift[corner][1]
 
     def _turn_wheels(self, wheel_speed_cmd_rpm: Sequence[float]) -> None:
         speeds, most = self._wheel_radps, self._wheel_change_radps
@@ -300,20 +278,11 @@ class World:
             (rr[0] - mid) * 1e-3,
         ]
 
-    def _move_body(self) -> None:
-        change, now = self._change, self._now
-        change[:] = self._inputs()
-        change -= now
-        result = self._matrix.dot(self._z)
-        self._state[:] = result[:_STATES]
-        now += change
-        outputs: list[float] = result[_STATES:].tolist()
-        self._accel, self._spring_n = outputs[:3], outputs[3:]
-
     def _feel(self, dt_s: float) -> None:
         """Let the IMU follow the motion of the point where it sits."""
-        _, _, pitch, pitch_rate, roll, roll_rate = self._z[:6].tolist()
-        heave_accel, pitch_accel, roll_accel = self._accel
+        body = self._body
+        pitch, pitch_rate, pitch_accel = body.pitch_rad, body.pitch_rate_radps, body.pitch_accel_radps2
+        roll, roll_rate, roll_accel = body.roll_rad, body.roll_rate_radps, body.roll_accel_radps2
         sin_roll, cos_roll = sin(roll), cos(roll)
         level = cos(pitch)
         ux, uy, uz = -sin(pitch), sin_roll * level, cos_roll * level
@@ -323,7 +292,7 @@ class World:
         qq = pitch_accel * cos_roll + roll_rate * r
         rr = -pitch_accel * sin_roll - roll_rate * q
         x, y, z = self.vehicle.imu_offset_m
-        pushed = heave_accel + GRAVITY_MPS2
+        pushed = body.heave_accel_mps2 + GRAVITY_MPS2
         along = p * x + q * y + r * z
         square = p * p + q * q + r * r
         accel, rate = self._felt
@@ -341,11 +310,7 @@ class World:
     # ---- preparation
 
     def _prepare(self, dt_s: float) -> None:
-        """Make the matrix that takes (state, inputs, their change) to (state, accelerations, spring forces).
-
-        Inputs are straight over the step, so the extended system (x, u, change) is autonomous and its
-        exponential is exact.
-        """
+        """Compute what depends on the length of a step."""
         self._dt_us = round(dt_s * 1e6)
         if self._dt_us <= 0 or abs(self._dt_us - dt_s * 1e6) > 1e-6:
             raise ValueError(f"a step takes a positive whole number of microseconds, not {dt_s} s")
@@ -355,69 +320,12 @@ class World:
         drive = self.vehicle.drive
         most_torque_nm = np.inf if drive is None else drive.max_torque_nm
         self._wheel_change_radps = most_torque_nm / self.vehicle.tire.spin_inertia_kgm2 * dt_s
-        n, m = _STATES, _INPUTS
-        a, b, b_rate = self._model.a, self._input_matrix("b"), self._input_rate_matrix("b")
-        extended = np.zeros((n + 2 * m, n + 2 * m))
-        extended[:n, :n] = a
-        extended[:n, n : n + m] = b
-        extended[:n, n + m :] = b_rate / dt_s
-        extended[n : n + m, n + m :] = np.eye(m) / dt_s
-        to_state = expm(extended * dt_s)[:n]
-        to_inputs = np.hstack([np.zeros((m, n)), np.eye(m), np.eye(m)])
-        to_change = np.hstack([np.zeros((m, n + m)), np.eye(m)])
-        c = self._output_rows(self._model.c)
-        d, d_rate = self._input_matrix("d"), self._input_rate_matrix("d") / dt_s
-        self._matrix = np.vstack([to_state, c @ to_state + d @ to_inputs + d_rate @ to_change])
-
-    def _input_matrix(self, which: str) -> Array:
-        """Columns of B, or of D for our outputs, for plate roll, plate pitch and the four lifts."""
-        road, lift = self._columns(which, ROAD), self._columns(which, LIFT)
-        kinematics = self._parameters.corner_kinematics()
-        tilt = road @ kinematics[:, [2, 1]]
-        matrix = np.hstack([tilt, lift])
-        if which == "d":
-            matrix[3:, 2:] += np.diag(self._parameters.spring_npm())
-        return matrix
-
-    def _input_rate_matrix(self, which: str) -> Array:
-        """The same for the rates of those inputs: only the dampers feel them."""
-        lift_rate = self._columns(which, LIFT_RATE)
-        if which == "d":
-            lift_rate = lift_rate.copy()
-            lift_rate[3:] += np.diag(self._parameters.damper_nspm())
-        return np.hstack([np.zeros((len(lift_rate), 2)), lift_rate])
-
-    def _columns(self, which: str, names: tuple[str, ...]) -> Array:
-        selected = self._model.select(inputs=names)
-        return selected.b if which == "b" else self._output_rows(selected.d)
-
-    def _output_rows(self, matrix: Array) -> Array:
-        """Rows of our outputs, (7, ...): three accelerations, four spring forces but for the lift's part."""
-        rows = {name: matrix[self._model.outputs.index(name)] for name in self._model.outputs}
-        springs = [
-            -stiffness * rows[deflection] - damping * rows[rate]
-            for stiffness, damping, deflection, rate in zip(
-                self._parameters.spring_npm(),
-                self._parameters.damper_nspm(),
-                SUSPENSION,
-                SUSPENSION_RATE,
-                strict=True,
-            )
-        ]
-        return np.array([rows[name] for name in BODY_ACCELERATION] + springs)
-
-    def _settle(self) -> None:
-        """Start at rest on the plate."""
-        inputs = self._now
-        self._state[:] = -np.linalg.solve(self._model.a, self._input_matrix("b") @ inputs)
-        outputs = self._output_rows(self._model.c) @ self._state + self._input_matrix("d") @ inputs
-        self._accel, self._spring_n = [0.0] * 3, outputs[3:].tolist()
-        self._feel(_LONG_S)
+        self._body.prepare(dt_s)
 
     def _field_in_body(self) -> Array:
         """Earth's field in body axes for the present roll and pitch."""
         north, west, up = MAGNETIC_FIELD_UT
-        pitch, roll = float(self._z[_PITCH]), float(self._z[_ROLL])
+        pitch, roll = self._body.pitch_rad, self._body.roll_rad
         x = cos(pitch) * north - sin(pitch) * up
         z = sin(pitch) * north + cos(pitch) * up
         self._field[:] = x, cos(roll) * west + sin(roll) * z, -sin(roll) * west + cos(roll) * z

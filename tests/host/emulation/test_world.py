@@ -398,13 +398,15 @@ def test_a_car_without_mechanism_is_refused() -> None:
         World(load_vehicle("table-6-1"), scenario())
 
 
-def test_a_minute_of_the_world_costs_little() -> None:
-    # Generous: about 10 us a step on the machine it was written on, where 15 was the aim.
+def test_a_millisecond_of_the_world_costs_no_more_than_adding_two_thousand_numbers() -> None:
+    # 10 us where the adding takes 28, whatever else the machine is doing: a minute of the world in a second.
     world = World(TIGER, load_scenario("shaking-plate"))
-    run(world, 0.1)
-    best = np.inf
+    ratios = []
     for _ in range(5):
         start = time.process_time()
         run(world, 0.5, duty=(0.1, -0.1, 0.1, -0.1), rpm=(10.0, 10.0, 10.0, 10.0))
-        best = min(best, time.process_time() - start)
-    assert best / 500 < 45e-6
+        middle = time.process_time()
+        for _ in range(500):
+            sum(range(2000))
+        ratios.append((middle - start) / (time.process_time() - middle))
+    assert min(ratios) < 1.0
