@@ -12,7 +12,7 @@
 The body is the linear 7-DOF model about mid-stroke at rest (body.py), driven by the tilt of the plate under
 the wheels and by the lift of the four mechanisms (the true curve of the EAM). An actuator's rate follows its
 duty with a first-order lag; it is self-locking, stops at the ends of its stroke, and cannot push more than
-its force limit. The wheels are free to turn, as on stands; + is forward. Everything random comes from the seed:
+its force limit. The wheels are free to turn, as on stands; + is forward. Everything random is from the seed:
 two worlds given the same calls are equal. The BNO055 is mounted along the body axes.
 """
 
