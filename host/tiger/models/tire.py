@@ -135,8 +135,11 @@ def contact_forces(
         return 0.0, 0.0
     if abs(forward_speed) < t.damping_speed:
         damping = 0.5 * t.damping * (1.0 + cos(pi * forward_speed / t.damping_speed))
-        kappa += damping * slip_speed / longitudinal_stiffness(t, load)
-        tan_alpha -= damping * side_speed / lateral_stiffness(t, load)
+        # A tyre about to lift has next to no stiffness: the damping's share of the slip has the slip's limit.
+        damping_kappa = damping * slip_speed / longitudinal_stiffness(t, load)
+        damping_alpha = -damping * side_speed / lateral_stiffness(t, load)
+        kappa += min(max(damping_kappa, -t.slip_limit), t.slip_limit)
+        tan_alpha += min(max(damping_alpha, -t.slip_limit), t.slip_limit)
     return magic_formula(t, load, kappa, tan_alpha)
 
 
