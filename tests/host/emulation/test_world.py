@@ -368,7 +368,7 @@ def everything(world: World) -> list[float]:
 
 
 @given(st.integers(0, 2**32), st.integers(0, 2**32))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 def test_one_seed_one_world(seed: int, other: int) -> None:
     def lived(seed: int) -> list[float]:
         world = World(TIGER, load_scenario("shaking-plate"), seed)
