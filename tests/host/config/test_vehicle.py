@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from tiger.config.errors import ConfigError
 from tiger.config.vehicle import VehicleConfig, load_vehicle, preset_names
 
