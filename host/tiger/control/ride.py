@@ -9,7 +9,7 @@ deflections, and forces.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import block_diag, expm
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from tiger.models.full_car import FullCarParameters
     from tiger.models.linear import LinearModel
 
-    Array = NDArray[np.float64]
+    Array = NDArray[np.floating[Any]]
 
 PERIOD_S = 0.005
 CAR_STATES = 14
@@ -283,8 +283,7 @@ def _stein(left: Array, right: Array, constant: Array) -> Array:
 
 
 def hold(a: Array, b: Array, period_s: float) -> tuple[Array, Array, Array]:
-    """Sample x' = a x + b u: return the transition, the effect of a held input, and that of one rising from 0
-    to 1."""
+    """Sample x' = a x + b u: return transition, effect of a held input, and of one rising from 0 to 1."""
     n, m = b.shape
     block = np.zeros((n + 2 * m, n + 2 * m))
     block[:n, :n], block[:n, n : n + m] = a * period_s, b * period_s
@@ -294,14 +293,13 @@ def hold(a: Array, b: Array, period_s: float) -> tuple[Array, Array, Array]:
 
 
 def _sampled_noise(a: Array, intensity: Array, period_s: float) -> Array:
-    """Return the covariance that white noise of the given intensity leaves after one period (Van Loan
-    1978)."""
+    """Return the covariance that white noise of `intensity` leaves after a period (Van Loan 1978)."""
     n = len(a)
     block = np.zeros((2 * n, 2 * n))
     block[:n, :n], block[:n, n:], block[n:, n:] = -a, intensity, a.T
     power = expm(block * period_s)
     covariance = power[n:, n:].T @ power[:n, n:]
-    return 0.5 * (covariance + covariance.T)
+    return np.asarray(0.5 * (covariance + covariance.T))
 
 
 def _assemble(

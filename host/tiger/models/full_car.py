@@ -11,7 +11,7 @@ spring's upper seat (the EAM): both are inputs of the same model, so take the on
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from tiger.config.vehicle import VehicleConfig
 
-    Array = NDArray[np.float64]
+    Array = NDArray[np.floating[Any]]
 
 GRAVITY_MPS2 = 9.80665
 
@@ -129,7 +129,7 @@ class FullCarParameters:
         """Return the tyre load of each corner at rest, the denominators of eta in section 6.2, shape (4,)."""
         x, y = self.corner_positions_m().T
         share = (1 - np.abs(x) / self.wheelbase_m) * (1 - np.abs(y) / (2 * self.half_track_m))
-        return GRAVITY_MPS2 * (share * self.body_mass_kg + self.wheel_mass_kg())
+        return np.asarray(GRAVITY_MPS2 * (share * self.body_mass_kg + self.wheel_mass_kg()))
 
 
 def full_car(p: FullCarParameters, imu_offset_m: tuple[float, float] = (0.0, 0.0)) -> LinearModel:

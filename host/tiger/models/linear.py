@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from scipy.linalg import expm
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
+    Array = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +75,10 @@ class LinearModel:
         if period_s <= 0:
             raise ValueError(f"the sampling period must be positive, not {period_s} s")
         n, m = self.b.shape
+        a: Array
+        b: Array
+        c: Array
+        d: Array
         if method == "tustin":
             half = 0.5 * period_s
             inverse = np.linalg.inv(np.eye(n) - half * self.a)
@@ -134,7 +138,7 @@ class LinearModel:
         return states @ self.c.T + u @ self.d.T, states
 
 
-def modes(poles: NDArray[np.complex128]) -> Array:
+def modes(poles: NDArray[np.inexact[Any]]) -> Array:
     """Return (frequency_hz, damping ratio) of each continuous complex pole pair, shape (pairs, 2), slowest
     first."""
     upper = poles[poles.imag > 0]

@@ -8,7 +8,7 @@ full car, with the rear wheels on the front wheels' tracks a wheelbase later.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    Array = NDArray[np.float64]
+    Array = NDArray[np.floating[Any]]
 
 LEFT, RIGHT = 0, 1
 REFERENCE_CYCLES_PER_M = 0.1

@@ -8,7 +8,7 @@ side.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
     from tiger.control.ride import ImuNoise, RideController
     from tiger.models.full_car import FullCarParameters
+    from tiger.models.linear import LinearModel
 
-    Array = NDArray[np.float64]
+    Array = NDArray[np.floating[Any]]
 
 FINE_S = 0.001
 FINE_PER_PERIOD = round(ride.PERIOD_S / FINE_S)
@@ -145,7 +146,7 @@ def simulate(
 
 
 def _between(
-    car: ride.LinearModel,
+    car: LinearModel,
     a: Array,
     push: Array,
     drive: Array,

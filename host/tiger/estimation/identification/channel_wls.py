@@ -8,7 +8,7 @@ Hankel singular value marks the order.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from tiger.estimation.identification.frf import FrfData
 
-    Array = NDArray[np.float64]
-    ComplexArray = NDArray[np.complex128]
+    Array = NDArray[np.floating[Any]]
+    ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
 def build(data: FrfData, order: int = 14, path_order: int = 14) -> IdentifiedModel:
@@ -41,17 +41,17 @@ def build(data: FrfData, order: int = 14, path_order: int = 14) -> IdentifiedMod
             numerator, denominator = _levy(
                 s[use] / scale, data.response[use, i, j], data.coherence[use, i, j], path_order
             )
-            poles = np.roots(denominator)
-            residues = np.polyval(numerator, poles) / np.polyval(np.polyder(denominator), poles)
+            poles = np.roots(denominator).astype(complex)
+            residues = np.asarray(np.polyval(numerator, poles) / np.polyval(np.polyder(denominator), poles))
             poles = np.where(poles.real >= -1e-6, -np.abs(poles.real) - 1e-6 + 1j * poles.imag, poles)
-            a, b, c = _real_form(poles * scale, residues * scale)
+            dynamics, excite, read = _real_form(poles * scale, residues * scale)
             d[i, j] = numerator[0] / denominator[0]
-            blocks.append(a)
-            b_rows.append(np.outer(b, np.eye(inputs)[j]))
-            c_columns.append(np.outer(np.eye(outputs)[i], c))
+            blocks.append(dynamics)
+            b_rows.append(np.outer(excite, np.eye(inputs)[j]))
+            c_columns.append(np.outer(np.eye(outputs)[i], read))
     full = block_diag(*blocks), np.vstack(b_rows), np.hstack(c_columns), d
-    (a, b, c, d), hankel = balanced_truncation(full, order)
-    return IdentifiedModel(a, b, c, d, data.sample_s, hankel, modes(np.linalg.eigvals(a)))
+    reduced, hankel = balanced_truncation(full, order)
+    return IdentifiedModel(*reduced, data.sample_s, hankel, modes(np.linalg.eigvals(reduced[0])))
 
 
 def _levy(s: ComplexArray, h: ComplexArray, weight: Array, order: int) -> tuple[Array, Array]:
@@ -66,7 +66,7 @@ def _levy(s: ComplexArray, h: ComplexArray, weight: Array, order: int) -> tuple[
     return solution[: order + 1], np.r_[1.0, solution[order + 1 :]]
 
 
-def _real_form(poles: ComplexArray, residues: ComplexArray) -> tuple[Array, Array, Array]:
+def _real_form(poles: NDArray[Any], residues: NDArray[Any]) -> tuple[Array, Array, Array]:
     """Realise sum residue / (s - pole) with real matrices, one block per pole pair."""
     a_blocks, b, c = [], [], []
     for p, r in zip(poles, residues, strict=True):

@@ -7,7 +7,7 @@ noise.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.signal import lfilter
@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
+    Array = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,8 +62,8 @@ def multisine(
     low, high = band_hz
     if not bin_hz <= low < high < 0.5 / sample_s:
         raise ValueError(
-            f"the band {low} to {high} Hz must lie between one bin ({bin_hz:.3g} Hz) and the Nyquist frequency "
-            f"({0.5 / sample_s:.4g} Hz): lengthen the period or lower the band"
+            f"the band {low} to {high} Hz must lie between one bin ({bin_hz:.3g} Hz) and the Nyquist "
+            f"frequency ({0.5 / sample_s:.4g} Hz): lengthen the period or lower the band"
         )
     lines: list[int] = []
     next_line = low / bin_hz

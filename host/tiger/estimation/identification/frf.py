@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import signal
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
     from tiger.estimation.identification.excitation import Multisine
 
-    Array = NDArray[np.float64]
-    ComplexArray = NDArray[np.complex128]
+    Array = NDArray[np.floating[Any]]
+    ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ order to all paths at once, each response weighted by its measured variance. Pol
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     from tiger.estimation.identification.frf import FrfData
 
-    Array = NDArray[np.float64]
-    ComplexArray = NDArray[np.complex128]
+    Array = NDArray[np.floating[Any]]
+    ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 CANDIDATES = (8, 10, 12, 14, 16)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from tiger.models.linear import LinearModel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
+    Array = NDArray[np.floating[Any]]
+    ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +44,7 @@ class IdentifiedModel:
         """Number of states."""
         return len(self.a)
 
-    def response(self, frequency_hz: Array) -> NDArray[np.complex128]:
+    def response(self, frequency_hz: Array) -> NDArray[np.complexfloating[Any, Any]]:
         """Return the response of the discrete model at each frequency, shape (k, outputs, inputs)."""
         s = 2j / self.sample_s * np.tan(np.pi * np.asarray(frequency_hz) * self.sample_s)
         resolvent = s[:, None, None] * np.eye(len(self.a)) - self.a
@@ -57,8 +58,7 @@ class IdentifiedModel:
         return continuous.discretise(self.sample_s, "tustin")
 
 
-def fit_percent(estimate: NDArray[np.complex128], truth: NDArray[np.complex128]) -> Array:
-    """Return 100 (1 - |H - H0| / |H0|) of every path over the frequencies (axis 0), shape (outputs,
-    inputs)."""
+def fit_percent(estimate: ComplexArray, truth: ComplexArray) -> Array:
+    """Return 100 (1 - |H - H0| / |H0|) of every path over the frequencies (axis 0), (outputs, inputs)."""
     error = np.linalg.norm(estimate - truth, axis=0)
     return np.asarray(100 * (1 - error / np.linalg.norm(truth, axis=0)))

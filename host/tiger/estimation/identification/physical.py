@@ -6,8 +6,8 @@ right, which is why few parameters do with little signal; what it cannot explain
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, fields
-from typing import TYPE_CHECKING
+from dataclasses import astuple, dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from tiger.estimation.identification.frf import FrfData
 
-    Array = NDArray[np.float64]
+    Array = NDArray[np.floating[Any]]
 
 PARAMETERS = tuple(f.name for f in fields(FullCarParameters) if f.name != "com_left_m")
 
@@ -54,7 +54,7 @@ def fit(
     weight = np.sqrt(2) * data.weight()[on]
 
     def residual(logarithms: Array) -> Array:
-        car = FullCarParameters(*np.exp(logarithms), com_left_m=start.com_left_m)
+        car = _car(logarithms, start)
         model = full_car(car, imu_offset_m).select(
             inputs=(*ROAD, *FORCE), outputs=(IMU[0], *BODY_ACCELERATION[1:])
         )
@@ -67,5 +67,9 @@ def fit(
         raise ValueError(f"the physical fit did not converge ({solved.message}): start nearer to the vehicle")
     information = solved.jac.T @ solved.jac
     freedom = len(solved.fun) - len(x0)
-    car = FullCarParameters(*(float(v) for v in np.exp(solved.x)), com_left_m=start.com_left_m)
+    car = _car(solved.x, start)
     return PhysicalFit(car, np.sqrt(np.diag(np.linalg.pinv(information))), 2 * solved.cost / freedom)
+
+
+def _car(logarithms: Array, start: FullCarParameters) -> FullCarParameters:
+    return replace(start, **{name: float(v) for name, v in zip(PARAMETERS, np.exp(logarithms), strict=True)})

@@ -3,7 +3,7 @@ form."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import block_diag, solve_continuous_lyapunov, svd
@@ -11,7 +11,7 @@ from scipy.linalg import block_diag, solve_continuous_lyapunov, svd
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Array = NDArray[np.float64]
+    Array = NDArray[np.floating[Any]]
     System = tuple[Array, Array, Array, Array]
 
 
@@ -63,7 +63,8 @@ def modal_blocks(system: System) -> tuple[Array, Array, Array, Array]:
     pairs = [(i, int(np.argmin(np.abs(poles - poles[i].conj())))) for i in upper]
     pairs += list(zip(real[::2], real[1::2], strict=True))
     blocks, transform = np.zeros((n // 2, 2)), np.zeros((n, n))
-    for row, (i, j) in enumerate(pairs):
+    for row, pair in enumerate(pairs):
+        i, j = int(pair[0]), int(pair[1])
         p, q = poles[i], poles[j]
         blocks[row] = (p * q).real, -(p + q).real
         companion_vectors = np.array([[1, 1], [p, q]])

@@ -6,7 +6,7 @@ Relaxed vector fitting (Gustavsen and Semlyen 1999; Gustavsen 2006) with the fas
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from tiger.estimation.identification.frf import FrfData
 
-    Array = NDArray[np.float64]
-    ComplexArray = NDArray[np.complex128]
+    Array = NDArray[np.floating[Any]]
+    ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
 def build(data: FrfData, order: int = 14, poles: int | None = None, iterations: int = 12) -> IdentifiedModel:
@@ -77,7 +77,7 @@ def _relocate(s: ComplexArray, h: ComplexArray, w: Array, poles: ComplexArray) -
         left = numerator[use] * weight
         right = -numerator[use] * h[use, path, None] * weight
         rows = np.hstack([left, right])
-        r = np.linalg.qr(np.vstack([rows.real, rows.imag]), mode="r")
+        r = np.asarray(np.linalg.qr(np.vstack([rows.real, rows.imag]), mode="r"))
         reduced.append(r[n + 1 :, n + 1 :])
         target.append(np.zeros(len(r) - n - 1))
     # Relaxation: the mean real part of sigma over the lines is held at one instead of its constant.
