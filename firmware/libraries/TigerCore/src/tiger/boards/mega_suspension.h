@@ -211,7 +211,7 @@ class MegaSuspension : public BoardHooks {
     }
     const bool is_fresh = readings_lost_ == 0;
     for (uint8_t i = 0; i < kCorners; ++i) {
-      if (is_fresh && !has_readings_) actuators_[i].start(readings_[i]);
+      if (is_fresh && settle_ticks_ > suspension::kObserveTicks) actuators_[i].start(readings_[i]);
       actuators_[i].observe(readings_[i], is_fresh);
     }
     has_readings_ = has_readings_ || is_fresh;

@@ -14,6 +14,7 @@ constexpr uint8_t kEstopDebounceMs = 2;     // e-stop input steady this long
 constexpr uint8_t kReadingsLostTicks = 5;   // control ticks without potentiometers
 
 constexpr int16_t kSlewPerTick = 4700;        // um/s: a rate setpoint reaches full speed in two ticks
+constexpr uint8_t kObserveTicks = 15;         // of the next, the observers run; before, they start afresh
 constexpr uint8_t kSettleTicks = 20;          // the observers settle after boot
 constexpr uint8_t kRawEveryTicks = 10;        // suspension_raw at 10 Hz
 constexpr uint8_t kForwardBytesPerTurn = 64;  // bytes taken from the Nano in one turn of the main loop

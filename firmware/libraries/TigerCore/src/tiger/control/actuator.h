@@ -81,6 +81,7 @@ class Actuator {
   // Follows a stroke rate; the duty to drive with.
   int16_t follow(int16_t rate) {
     const int32_t stop_point = observer_.stop_point();
+    if (rate_limited_) position_loop_.forgive(rate, stop_point);
     const int16_t moved = position_loop_.advance(rate, limits_.low, limits_.high);
     stroke_limited_ = moved != rate;
     rate_limited_ = position_loop_.hold_leash(stop_point);
@@ -89,7 +90,9 @@ class Actuator {
       rate_loop_.rest(observer_.rate());
       return drive(0);
     }
-    return drive(rate_loop_.step(target, observer_.rate()));
+    const int16_t duty_permille = drive(rate_loop_.step(target, observer_.rate()));
+    if (barred_) take_over();  // nothing to make up for later
+    return duty_permille;
   }
 
   // Stops the motion as fast as it can, then rests there.
@@ -135,8 +138,8 @@ class Actuator {
 
   // A pressed limit switch bars the way it stands in.
   int16_t drive(int16_t wanted) {
-    const bool barred = (upper_ && wanted > 0) || (lower_ && wanted < 0);
-    drive_ = barred ? int16_t{0} : wanted;
+    barred_ = (upper_ && wanted > 0) || (lower_ && wanted < 0);
+    drive_ = barred_ ? int16_t{0} : wanted;
     duty_permille_ = rate_loop_.duty_permille(drive_);
     if (duty_permille_ == 0) drive_ = 0;
     return duty_permille_;
@@ -155,6 +158,7 @@ class Actuator {
   wire::Fault fault_ = wire::Fault::kNone;  // of the reading
   bool lower_ = false;
   bool upper_ = false;
+  bool barred_ = false;
   bool rate_limited_ = false;
   bool stroke_limited_ = false;
 };

@@ -52,7 +52,10 @@ class Diagnosis {
       untrusted_ = true;  // the way of this tick is unknown
       return Fault::kNone;
     }
+    if (turned)
+      ran_while_off_ = drive != 0 && idle_ && magnitude(reading - anchor_ - expected_way_) > kIdleHint;
     if (turned || untrusted_) anchor(reading);
+    idle_ = drive == 0;
     untrusted_ = false;
     const int32_t way = reading - anchor_;
     if (drive == 0) return check_idle(reading, way);
@@ -60,8 +63,8 @@ class Diagnosis {
       anchor(reading);
       return Fault::kNone;
     }
-    return drive > 0 ? check_driven(reading, way, expected_way_)
-                     : check_driven(reading, -way, -expected_way_);
+    return drive > 0 ? check_driven(reading, way, expected_way_, coast_)
+                     : check_driven(reading, -way, -expected_way_, -coast_);
   }
 
   // Of the limit switches, with the observed stroke and its full length.
@@ -79,7 +82,8 @@ class Diagnosis {
   static constexpr int32_t kSurprise = kUnitsPerMm;  // against the observer
   static constexpr uint8_t kJumpPoints = 3;          // a jump counts three, a quiet tick takes one back
   static constexpr uint8_t kNoisyPoints = 12;
-  static constexpr int32_t kIdleWay = kUnitsPerMm / 2;      // with the drive off
+  static constexpr int32_t kIdleWay = kUnitsPerMm / 2;  // with the drive off
+  static constexpr int32_t kIdleHint = 6 * kUnitsPerMm / 100;
   static constexpr uint8_t kIdleTicks = 100;                // then a new anchor: drift is not motion
   static constexpr int32_t kJamWay = 6 * kUnitsPerMm / 10;  // longer than any backlash
   static constexpr int32_t kReversedWay = 15 * kUnitsPerMm / 100;
@@ -93,6 +97,7 @@ class Diagnosis {
   void anchor(int32_t reading) {
     anchor_ = reading;
     expected_way_ = 0;
+    coast_ = static_cast<int32_t>(rate_) * kLagTicks;
     idle_ticks_ = 0;
   }
 
@@ -107,11 +112,15 @@ class Diagnosis {
     return Fault::kNone;
   }
 
-  // Both ways count in the direction of the drive; after a reversal both begin backwards.
-  Fault check_driven(int32_t reading, int32_t way, int32_t expected) {
-    const bool backwards = way < -kReversedWay && way < expected - 2 * kReversedWay;
+  // All count in the direction of the drive. After a reversal the way begins backwards: by the coast at most.
+  Fault check_driven(int32_t reading, int32_t way, int32_t expected, int32_t coast) {
+    const int32_t allowed = coast < 0 ? kReversedWay - coast : kReversedWay;
+    const bool backwards = way < -allowed && way < expected - 2 * kReversedWay;
     backwards_ticks_ = backwards ? count(backwards_ticks_) : 0;
-    if (backwards) return backwards_ticks_ >= kReversedTicks ? Fault::kReversed : Fault::kNone;
+    if (backwards)
+      return backwards_ticks_ < kReversedTicks ? Fault::kNone
+             : ran_while_off_                  ? Fault::kDriver
+                                               : Fault::kReversed;
     if (expected < kJamWay) return Fault::kNone;
     if (way < expected >> 2) return Fault::kJam;
     anchor(reading);
@@ -121,6 +130,7 @@ class Diagnosis {
   int32_t last_ = 0;
   int32_t anchor_ = 0;
   int32_t expected_way_ = 0;
+  int32_t coast_ = 0;  // left at the anchor
   int16_t rate_ = 0;
   int16_t last_drive_ = 0;
   uint8_t open_ticks_ = 0;
@@ -128,6 +138,8 @@ class Diagnosis {
   uint8_t idle_ticks_ = 0;
   uint8_t switch_ticks_ = 0;
   uint8_t backwards_ticks_ = 0;
+  bool idle_ = false;
+  bool ran_while_off_ = false;  // before the present drive began
   bool trusted_ = true;
   bool untrusted_ = false;
 };

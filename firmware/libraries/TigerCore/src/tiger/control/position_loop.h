@@ -20,6 +20,12 @@ class PositionLoop {
     correcting_ = false;
   }
 
+  // A lag that could not be made up is forgiven as soon as the command turns away from it.
+  void forgive(int16_t rate, int32_t stop_point) {
+    const int32_t lag = reference_ - stop_point;
+    if ((rate > 0 && lag < 0) || (rate < 0 && lag > 0)) start(stop_point);
+  }
+
   // Moves the reference by a commanded rate, no farther than the soft limits (inwards from beyond them is fine).
   // Returns the rate that is left of it.
   int16_t advance(int16_t rate, int32_t low, int32_t high) {

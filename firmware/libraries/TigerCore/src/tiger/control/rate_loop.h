@@ -51,7 +51,7 @@ class RateLoop {
     if (excess < 0 && integral_ < 0) integral_ = left < 0 ? left : 0;
   }
 
-  static constexpr int16_t kNoise = 150;              // um/s of the observed rate at rest
+  static constexpr int16_t kNoise = 150;        // um/s of the observed rate at rest
   static constexpr uint8_t kIntegralShift = 5;  // 1/32 per tick
   static constexpr uint8_t kBackShift = 2;      // an eighth of the excess per tick
   static constexpr int32_t kIntegralLimit = int32_t{3000} << kIntegralShift;
