@@ -1,0 +1,69 @@
+"""The whole robot in one process and in virtual time: the daemon's ticks between the emulated robot's milliseconds.
+
+rig = Rig(load_robot(None), load_scenario("shaking-plate"), seed=0)
+rig.daemon.arm()
+for record in rig.run(60.0): ...
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tiger.daemon.clock import VirtualClock
+from tiger.daemon.daemon import Daemon
+from tiger.emulation.cable import LineNoise
+from tiger.emulation.robot import STEP_US, EmulatedRobot
+from tiger.rig.ports import EMULATED_PORTS, CablePorts
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tiger.config.robot import RobotConfig
+    from tiger.emulation.scenarios import Scenario
+    from tiger.record import Record
+
+
+class Rig:
+    """A daemon and an emulated robot that share a virtual clock.
+
+    Args:
+        config: the robot's configuration; its ports are replaced by those of the emulated robot.
+        scenario: what happens to the robot.
+        seed: of everything random.
+        noise: damage on every framed line.
+    """
+
+    def __init__(
+        self,
+        config: RobotConfig,
+        scenario: Scenario,
+        seed: int = 0,
+        noise: LineNoise = LineNoise(),  # noqa: B008  frozen
+    ) -> None:
+        self.config = config.model_copy(update={"ports": EMULATED_PORTS})
+        self.clock = VirtualClock()
+        self.robot = EmulatedRobot(config.vehicle, scenario, seed, noise)
+        self.ports = CablePorts(self.robot.cables)
+        self.daemon = Daemon(self.config, self.ports, self.clock, nonce=seed + 1)
+        self.hung = False  # a daemon that hangs: time passes, nothing is read or written
+        self._steps_per_tick = round(config.loop.period_s * 1e6 / STEP_US)
+
+    @property
+    def time_s(self) -> float:
+        """Virtual time."""
+        return self.robot.time_s
+
+    def tick(self) -> Record | None:
+        """Let one control period pass and return what the daemon made of it; None while it hangs."""
+        for _ in range(self._steps_per_tick):
+            self.robot.run()
+        self.clock.set(self.robot.time_s)
+        return None if self.hung else self.daemon.tick(self.robot.time_s)
+
+    def run(self, duration_s: float) -> Iterator[Record]:
+        """Yield the record of every tick for `duration_s` of virtual time."""
+        end_us = self.robot.world.time_us + round(duration_s * 1e6)
+        while self.robot.world.time_us < end_us:
+            record = self.tick()
+            if record is not None:
+                yield record
