@@ -69,6 +69,11 @@ class NanoImu : public BoardHooks {
     mounting_ = fusion::matrix(fusion::normalised(fusion::Quat{w, v}));
     is_turned_ = fusion::dot(v, v) > 0.0f;
     is_calibrated_ = p.get(wire::kParamCalibrated) != 0;
+    // What the filter learned with other corrections would be wrong now: it settles afresh.
+    filter_.reset();
+    turning_.reset();
+    settled_ = 0;
+    has_fused_ = false;
   }
 
   const fusion::AttitudeFilter& filter() const { return filter_; }
