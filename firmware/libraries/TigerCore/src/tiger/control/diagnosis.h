@@ -55,6 +55,7 @@ class Diagnosis {
     if (turned)
       ran_while_off_ = drive != 0 && idle_ && magnitude(reading - anchor_ - expected_way_) > kIdleHint;
     if (turned || untrusted_) anchor(reading);
+    if (turned) jam_way_ = kJamWay + kBacklash;
     idle_ = drive == 0;
     untrusted_ = false;
     const int32_t way = reading - anchor_;
@@ -84,8 +85,9 @@ class Diagnosis {
   static constexpr uint8_t kNoisyPoints = 12;
   static constexpr int32_t kIdleWay = kUnitsPerMm / 2;  // with the drive off
   static constexpr int32_t kIdleHint = 6 * kUnitsPerMm / 100;
-  static constexpr uint8_t kIdleTicks = 100;                // then a new anchor: drift is not motion
-  static constexpr int32_t kJamWay = 6 * kUnitsPerMm / 10;  // longer than any backlash
+  static constexpr uint8_t kIdleTicks = 100;  // then a new anchor: drift is not motion
+  static constexpr int32_t kJamWay = 6 * kUnitsPerMm / 10;
+  static constexpr int32_t kBacklash = 3 * kUnitsPerMm / 10;  // more of it after a turn
   static constexpr int32_t kReversedWay = 15 * kUnitsPerMm / 100;
   static constexpr uint8_t kReversedTicks = 2;
   static constexpr int32_t kSwitchZone = 3 * kUnitsPerMm;
@@ -121,16 +123,18 @@ class Diagnosis {
       return backwards_ticks_ < kReversedTicks ? Fault::kNone
              : ran_while_off_                  ? Fault::kDriver
                                                : Fault::kReversed;
-    if (expected < kJamWay) return Fault::kNone;
+    if (expected < jam_way_) return Fault::kNone;
     if (way < expected >> 2) return Fault::kJam;
     anchor(reading);
+    jam_way_ = kJamWay;
     return Fault::kNone;
   }
 
   int32_t last_ = 0;
   int32_t anchor_ = 0;
   int32_t expected_way_ = 0;
-  int32_t coast_ = 0;  // left at the anchor
+  int32_t jam_way_ = kJamWay;  // expected, before the way is judged
+  int32_t coast_ = 0;          // left at the anchor
   int16_t rate_ = 0;
   int16_t last_drive_ = 0;
   uint8_t open_ticks_ = 0;
