@@ -19,6 +19,7 @@ from tiger.daemon.controller import design_controller, initial_state
 from tiger.daemon.controller import step as control
 from tiger.daemon.discovery import Boards, Role, role_name
 from tiger.daemon.drives import Drive
+from tiger.daemon.rest_calibration import RestCalibration, bias_messages
 from tiger.daemon.supervisor import Facts
 from tiger.daemon.wheel_check import WheelCheck
 from tiger.devices.imu import imu_raw_sample, imu_sample
@@ -37,6 +38,7 @@ from tiger.protocol.messages import (
     Disarm,
     Estop,
     ImuAttitude,
+    ImuFlag,
     ImuRaw,
     Log,
     SuspensionFlag,
@@ -72,12 +74,14 @@ IMU: Role = (BoardKind.NANO_IMU, 0)
 SPEED_LEFT: Role = (BoardKind.MEGA_SPEED, 0)
 SPEED_RIGHT: Role = (BoardKind.MEGA_SPEED, 1)
 
+LIMITS_HZ = 50.0  # measurements held against their limits
 HOUSEKEEPING_HZ = 20.0  # ports opened, problems and link health gathered
 ARM_PATIENCE_S = 3.0  # how long a wish to arm lives
 ARM_TIME_S = 1.0  # from ARM to every device reporting itself armed
 CLEAR_TIME_S = 1.0  # how long a wish to clear faults lives
 LOG_LINES = 20
 NEUTRAL_SEEN = 1 << SuspensionFlag.NEUTRAL_SEEN.value
+IMU_CALIBRATED = 1 << ImuFlag.CALIBRATED.value
 DRIVE_ESTOP = FaultFlag.EMERGENCY_STOP.value
 
 
@@ -104,8 +108,11 @@ class Daemon:
         paths = {"left": robot.ports.roboteq_left, "right": robot.ports.roboteq_right}
         self.drives = [Drive(side, path, ports, robot) for side, path in paths.items() if robot.drive.enabled]
         self._rest = limits.RestCheck(robot.safety)
+        self._calibration = RestCalibration()
+        self._calibrating: list[Request] = []
         self._tick = 0
         self._setpoint_every = round(robot.loop.rate_hz / robot.loop.setpoint_rate_hz)
+        self._limits_every = max(round(robot.loop.rate_hz / LIMITS_HZ), 1)
         self._housekeeping_every = max(round(robot.loop.rate_hz / HOUSEKEEPING_HZ), 1)
         self._housekeeping_due = True
         self._strokes: StrokeSample | None = None
@@ -174,6 +181,8 @@ class Daemon:
         if self._housekeeping_due or self._tick % self._housekeeping_every == 0:
             self._housekeeping(now_s)
         self.receive(now_s)
+        for event in self.boards.poll(now_s):
+            self._on(event)
         inputs = self._inputs(now_s)
         facts = self._facts(inputs, now_s)
         state, reason = supervisor.step(self.state, facts)
@@ -244,6 +253,7 @@ class Daemon:
                 self._rest.add(sample)
         elif isinstance(message, ImuRaw):
             self._imu_raw = imu_raw_sample(message, event.t_s)
+            self._calibration.add(self._imu_raw)
         elif isinstance(message, WheelSpeed):
             identity = event.session.identity
             if identity is not None:
@@ -278,7 +288,8 @@ class Daemon:
         is_armed = self.state is DaemonState.ARMED
         faults = self._device_faults()
         if is_armed:
-            faults += limits.exceeded(self.robot.safety, inputs, self._estimate)
+            if self._tick % self._limits_every == 0:
+                faults += limits.exceeded(self.robot.safety, inputs, self._estimate, is_armed=True)
             if self._wheel_check.problem is not None:
                 faults.append(self._wheel_check.problem)
             if faults:
@@ -440,6 +451,8 @@ class Daemon:
         self._estimate = outputs.estimate
         if self.state is not DaemonState.ARMED or not inputs.armed:
             return replace(outputs, stroke_rate_mmps=STILL, wheel_rpm=STILL)
+        if limits.is_late(self.robot.safety, inputs):
+            outputs = replace(outputs, stroke_rate_mmps=STILL, reason="holding: samples are late")
         if self._wheel_check.passed or not self.drives:
             return outputs
         wanted = self.command.speed_mps != 0.0 or self.command.yaw_rate_radps != 0.0
@@ -478,8 +491,28 @@ class Daemon:
             found.append(self._refusal)
         if self._low_battery() is not None:
             found.append(self._low_battery())  # type: ignore[arg-type]
+        if self.state is DaemonState.DISARMED:
+            self._calibrate_imu()
         self._problems = tuple(dict.fromkeys(found))
         self._links = tuple(self._link_statuses(now_s))
+
+    def _calibrate_imu(self) -> None:
+        """Set the gyro's bias while everything is still, when the Nano has none or a wrong one."""
+        if any(request.outcome is Outcome.WAITING for request in self._calibrating):
+            return
+        link, rest = self.boards.link(IMU), self._rest.problem(self._imu)
+        if link is None or self._imu is None or self._arm_request is not None:
+            return
+        if rest is None or (self._imu.flags & IMU_CALIBRATED and rest.kind is not ProblemKind.LIMIT):
+            return
+        bias = self._calibration.bias()
+        if bias is None:
+            return
+        self._calibrating = [link.request(message) for message in bias_messages(bias)]
+        self._calibration.clear()
+        self._rest.reset()
+        degrees = " ".join(f"{math.degrees(value):+.2f}" for value in bias)
+        self._say(f"nano_imu: gyro bias at rest {degrees} degrees/s")
 
     def _low_battery(self) -> Problem | None:
         volts = [drive.sample.battery_v for drive in self.drives if drive.sample is not None]

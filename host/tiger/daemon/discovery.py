@@ -126,14 +126,16 @@ class Boards:
         }
 
     def receive(self, now_s: float) -> Iterator[Event]:
-        """Read every port; yields what arrived and who fell silent."""
+        """Read every port; yields what arrived."""
         for port in self.ports.values():
-            if port.link is None:
-                continue
-            data = port.connection.read(now_s)
-            if data:
+            if port.link is not None and (data := port.connection.read(now_s)):
                 yield from port.link.feed(data, now_s)
-            yield from port.link.poll(now_s)
+
+    def poll(self, now_s: float) -> Iterator[Event]:
+        """Yields who fell silent."""
+        for port in self.ports.values():
+            if port.link is not None:
+                yield from port.link.poll(now_s)
 
     def send(self, now_s: float) -> None:
         """Write what is due on every port that has room."""

@@ -1,6 +1,8 @@
 """What the daemon watches: a table of limits on measurements, and what devices report as faults.
 
-A limit that is exceeded while the robot is armed stops it; before, it keeps the robot from being armed.
+A limit that is exceeded while the robot is armed stops it; before, it keeps the robot from being armed. A
+sample that is only late holds the robot still, as mega_suspension does with late setpoints, and stops it when it
+stays late.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from tiger.record import DriveSample, Estimate, ImuSample, Inputs
 
 RPM_PER_RADPS = 30.0 / math.pi
+LATE_PATIENCE = 4.0  # of the age limits: 60 ms late holds the robot still, 240 ms late stops it
 CORNERS = ("front left", "front right", "rear left", "rear right")
 
 
@@ -34,11 +37,14 @@ class Limit:
     most: Callable[[SafetyConfig], float]
     next_step: str
     sign: float = 1.0  # -1: the limit is the least, not the most
+    patience: float = 1.0  # while armed, the robot is stopped at this multiple of the limit
 
-    def exceeded(self, safety: SafetyConfig, inputs: Inputs, estimate: Estimate) -> Problem | None:
+    def exceeded(
+        self, safety: SafetyConfig, inputs: Inputs, estimate: Estimate, is_armed: bool = False
+    ) -> Problem | None:
         """The problem, or None while the value is within the limit."""
         value = self.measure(inputs, estimate)
-        most = self.most(safety)
+        most = self.most(safety) * (self.patience if is_armed else 1.0)
         if value is None or self.sign * value <= self.sign * most:
             return None
         text = f"{self.what.format(value)}, the limit is {most:g}"
@@ -92,6 +98,7 @@ LIMITS = (
         _age_ms(lambda i: i.imu),
         lambda s: s.imu_age_ms,
         _CABLE,
+        patience=LATE_PATIENCE,
     ),
     Limit(
         "mega_suspension",
@@ -99,6 +106,7 @@ LIMITS = (
         _age_ms(lambda i: i.strokes),
         lambda s: s.stroke_age_ms,
         _CABLE,
+        patience=LATE_PATIENCE,
     ),
     Limit(
         "mega_speed (left)",
@@ -106,6 +114,7 @@ LIMITS = (
         _age_ms(lambda i: i.wheels_left),
         lambda s: s.wheel_age_ms,
         _CABLE,
+        patience=LATE_PATIENCE,
     ),
     Limit(
         "mega_speed (right)",
@@ -113,6 +122,7 @@ LIMITS = (
         _age_ms(lambda i: i.wheels_right),
         lambda s: s.wheel_age_ms,
         _CABLE,
+        patience=LATE_PATIENCE,
     ),
     Limit(
         "roboteq (left)",
@@ -120,6 +130,7 @@ LIMITS = (
         _age_ms(lambda i: i.drive_left),
         lambda s: s.roboteq_age_ms,
         _CABLE,
+        patience=LATE_PATIENCE,
     ),
     Limit(
         "roboteq (right)",
@@ -127,6 +138,7 @@ LIMITS = (
         _age_ms(lambda i: i.drive_right),
         lambda s: s.roboteq_age_ms,
         _CABLE,
+        patience=LATE_PATIENCE,
     ),
     Limit(
         "body",
@@ -167,12 +179,22 @@ LIMITS = (
 )
 
 
-def exceeded(safety: SafetyConfig, inputs: Inputs, estimate: Estimate) -> Iterator[Problem]:
+def exceeded(
+    safety: SafetyConfig, inputs: Inputs, estimate: Estimate, is_armed: bool = False
+) -> Iterator[Problem]:
     """Every limit that is exceeded now."""
     for limit in LIMITS:
-        problem = limit.exceeded(safety, inputs, estimate)
+        problem = limit.exceeded(safety, inputs, estimate, is_armed)
         if problem is not None:
             yield problem
+
+
+def is_late(safety: SafetyConfig, inputs: Inputs) -> bool:
+    """Whether the attitude or the strokes are so old that nothing should move on them."""
+    imu, strokes, now_s = inputs.imu, inputs.strokes, inputs.now_s
+    if imu is None or strokes is None:
+        return True
+    return (now_s - imu.t_s) * 1e3 > safety.imu_age_ms or (now_s - strokes.t_s) * 1e3 > safety.stroke_age_ms
 
 
 def board_faults(session: Session) -> Iterator[Problem]:
@@ -238,8 +260,7 @@ class RestCheck:
     def __init__(self, safety: SafetyConfig) -> None:
         self._safety = safety
         self._last_s: float | None = None
-        self._rest_s = 0.0
-        self._mean = [0.0] * 6
+        self.reset()
 
     def add(self, sample: ImuSample) -> None:
         """Take one sample; while the board sees the robot at rest, it goes into slow means."""
@@ -253,6 +274,12 @@ class RestCheck:
         share = min(dt / self.TIME_CONSTANT_S, 1.0)
         values = (*sample.rate_radps, *sample.linear_accel_mps2)
         self._mean = [mean + share * (value - mean) for mean, value in zip(self._mean, values, strict=True)]
+
+    def reset(self) -> None:
+        """Forget the means: the calibration has changed."""
+        self._last_s = None
+        self._rest_s = 0.0
+        self._mean = [0.0] * 6
 
     def problem(self, sample: ImuSample | None) -> Problem | None:
         """Why the IMU does not allow arming, or None."""

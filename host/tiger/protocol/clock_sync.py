@@ -22,7 +22,7 @@ class ClockConfig:
     drift_max: float = 5000e-6  # ceramic resonators stay within
     drift_sigma: float = 2000e-6  # before the first exchange
     drift_walk_per_root_s: float = 1e-6  # temperature
-    reading_sigma_s: float = 20e-6  # of an exchange as fast as the best one
+    reading_sigma_s: float = 20e-6  # of an exchange without any delay
     reject_sigmas: float = 5.0
     reset_after_rejects: int = 5  # in a row: the board's clock is another one now
     ready_after: int = 4  # exchanges
@@ -91,8 +91,9 @@ class ClockSync:
             return False
         host_s = (there_s + back_s) / 2
         board_s = (rx_us + tx_us) / 2 * 1e-6
-        excess_s = round_trip_s - self.best_round_trip_s
-        used = self._update(host_s, board_s - host_s, math.hypot(self.config.reading_sigma_s, excess_s / 2))
+        # Nobody knows how the delay is shared between there and back: uniform within half of it either way.
+        sigma_s = math.hypot(self.config.reading_sigma_s, round_trip_s / math.sqrt(12.0))
+        used = self._update(host_s, board_s - host_s, sigma_s)
         if used:
             self._anchor_us = rx_us
         return used
