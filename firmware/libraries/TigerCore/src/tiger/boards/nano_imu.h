@@ -161,13 +161,21 @@ class NanoImu : public BoardHooks {
                              accel_scale_.y * (wire::ImuRaw::kAccelMps2Scale * accel.y - accel_offset_.y),
                              accel_scale_.z * (wire::ImuRaw::kAccelMps2Scale * accel.z - accel_offset_.z)};
     const Vec3 gyro_radps = wire::ImuRaw::kGyroRadpsScale * as_vec(raw_.gyro_radps) - gyro_bias_;
-    filter_.step(ImuSample{gyro_radps, accel_mps2, Vec3{0.0f, 0.0f, 0.0f}, verdict.accel_ok, true},
+    filter_.step(ImuSample{gyro_radps, accel_mps2, Vec3{0.0f, 0.0f, 0.0f}, verdict.accel_ok, may_rest()},
                  bridged ? 1e-6f * static_cast<float>(since_us) : 0.0f);
     if (verdict.mag_fresh && verdict.mag_ok) {
       filter_.add_magnetometer(wire::ImuRaw::kMagUtScale * as_vec(raw_.mag_ut));
     }
     if (verdict.accel_ok && settled_ < nano_imu_config::kSettleSamples) settled_++;
     describe(accel_mps2);
+  }
+
+  // The body turns slowly and steadily while it levels itself, which looks like rest with a larger bias. Once the
+  // bias is known, such a turn is told from rest by its rate.
+  bool may_rest() const {
+    const fusion::Vec3 rate = filter_.mean_rate_radps();
+    constexpr float kMost2 = nano_imu_config::kRestRateRadps * nano_imu_config::kRestRateRadps;
+    return !is_calibrated_ || fusion::dot(rate, rate) < kMost2;
   }
 
   void describe(const fusion::Vec3& accel_mps2) {

@@ -123,6 +123,8 @@ class AttitudeFilter {
   const Vec3& rate_radps() const { return rate_; }
   const Vec3& bias_radps() const { return bias_.value(); }
   bool resting() const { return rest_.resting(); }
+  // Mean rate over the last half second, bias removed: what tells a slow steady turn from rest.
+  Vec3 mean_rate_radps() const { return rest_.gyro_mean() - bias_.value(); }
   bool magnetically_disturbed() const { return heading_.disturbed(); }
   float heading_rad() const { return heading_.angle(); }
 
