@@ -76,15 +76,21 @@ class SpeedHal : public NativeHal {
 
   // ------------------------------------------------------------------------- what the program calls (hal.h)
 
-  EdgeSnapshot edges(uint8_t channel) { return decoders_[channel].snapshot(ticks_at(now_ns_)); }
+  EdgeSnapshot edges(uint8_t channel) {
+    EdgeSnapshot snapshot;
+    decoders_[channel].copy_to(snapshot);
+    snapshot.now_ticks = ticks_at(now_ns_);
+    return snapshot;
+  }
 
   // ------------------------------------------------------------------ what the world and NativeBoard call
 
   void advance(uint64_t now_ns) {
     NativeHal::advance(now_ns);
     for (uint8_t i = 0; i < kWheels; ++i) {
-      wheels_[i].advance(now_ns,
-                         [&](uint8_t pins, uint64_t at_ns) { decoders_[i].on_edge(pins, ticks_at(at_ns)); });
+      wheels_[i].advance(now_ns, [&](uint8_t pins, uint64_t at_ns) {
+        decoders_[i].on_edge(pins, [&] { return ticks_at(at_ns); });
+      });
     }
   }
 
@@ -112,7 +118,9 @@ class SpeedHal : public NativeHal {
   void set_faults(uint8_t channel, uint8_t faults) { wheels_[channel].set_faults(faults); }
 
   // The interrupt with these pins, now: for edges no gear makes.
-  void interrupt(uint8_t channel, uint8_t pins) { decoders_[channel].on_edge(pins, ticks_at(now_ns_)); }
+  void interrupt(uint8_t channel, uint8_t pins) {
+    decoders_[channel].on_edge(pins, [this] { return ticks_at(now_ns_); });
+  }
 
  private:
   static constexpr double kNsPerTick = 500.0;

@@ -64,6 +64,12 @@ struct Uart {
   Uart* peer = nullptr;
 };
 
+struct Pending {
+  avr_board* board = nullptr;
+  uint64_t since = 0;
+  uint32_t pc = 0;
+};
+
 struct PinEvent {
   uint64_t at;
   char port;
@@ -91,6 +97,7 @@ struct avr_board {
   uint8_t levels[16] = {};
   std::deque<Watch> watches;
   avr_isr isrs[kVectors] = {};
+  Pending pending[kVectors];
   int running_vector = 0;
   uint64_t entered_at = 0;
   avr_turns turns = {0, UINT32_MAX, 0, 0};
@@ -203,6 +210,13 @@ void pin_changed(avr_irq_t*, uint32_t value, void* param) {
 
 // ---------------------------------------------------------------------------------------- interrupts and the loop
 
+void interrupt_pending(avr_irq_t*, uint32_t is_pending, void* param) {
+  Pending& pending = *static_cast<Pending*>(param);
+  if (is_pending == 0) return;
+  pending.since = pending.board->avr->cycle;
+  pending.pc = pending.board->avr->pc;
+}
+
 void interrupt_running(avr_irq_t*, uint32_t vector, void* param) {
   avr_board& board = *static_cast<avr_board*>(param);
   avr_t* avr = board.avr;
@@ -210,6 +224,13 @@ void interrupt_running(avr_irq_t*, uint32_t vector, void* param) {
   if (vector != 0) {
     board.running_vector = static_cast<int>(vector);
     board.entered_at = avr->cycle;
+    avr_isr& isr = board.isrs[vector & (kVectors - 1)];
+    const Pending& pending = board.pending[vector & (kVectors - 1)];
+    const uint32_t wait = static_cast<uint32_t>(avr->cycle - pending.since);
+    if (wait > isr.max_wait_cycles) {
+      isr.max_wait_cycles = wait;
+      isr.wait_pc = pending.pc;
+    }
     avr->cycle += entry;
   } else if (board.running_vector != 0) {
     avr_isr& isr = board.isrs[board.running_vector & (kVectors - 1)];
@@ -398,6 +419,12 @@ avr_board* avr_board_new(const char* mcu, const char* elf_path) {
                           port_c_direction, board);
   avr_irq_register_notify(avr_get_interrupt_irq(avr, AVR_INT_ANY) + AVR_INT_IRQ_RUNNING, interrupt_running,
                           board);
+  for (int vector = 1; vector < kVectors; ++vector) {
+    avr_irq_t* irq = avr_get_interrupt_irq(avr, static_cast<uint8_t>(vector));
+    if (irq == nullptr) continue;
+    board->pending[vector].board = board;
+    avr_irq_register_notify(irq + AVR_INT_IRQ_PENDING, interrupt_pending, &board->pending[vector]);
+  }
   avr_irq_register_notify(board->watchdog->watchdog.irq + AVR_INT_IRQ_PENDING, watchdog_first, board);
   avr_register_io_write(avr, kTurnRegister, turn_begins, board);
   board->core_reset = avr->reset;

@@ -5,6 +5,8 @@ typedef struct {
   uint32_t count;
   uint64_t total_cycles;
   uint32_t max_cycles;
+  uint32_t max_wait_cycles;  // from the event to the entry
+  uint32_t wait_pc;          // where the program was at that event
 } avr_isr;
 typedef struct {
   uint32_t rises, falls;

@@ -65,8 +65,9 @@ def suspension(simulated: ModuleType, make_board: Callable[[str], Any]) -> Any:
 
 
 @pytest.fixture
-def armed(suspension: Any) -> Any:
-    """The same, armed, and a neutral setpoint accepted."""
+def armed(simulated: ModuleType, suspension: Any) -> Any:
+    """The same on its four actuators, armed, and a neutral setpoint accepted."""
+    suspension.world = simulated.Actuators(suspension.board).step
     assert suspension.arm().status == 0
     suspension.command((0, 0, 0, 0), 50)
     return suspension

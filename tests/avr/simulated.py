@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -15,6 +15,7 @@ from tiger.protocol.frame import FrameDecoder, encode_message
 
 HZ = 16_000_000
 CYCLES_PER_MS = HZ // 1000
+WORLD_STEP_MS = 1.0
 QUANTUM_CYCLES = 200  # below the 640 cycles a byte takes on the Nano's wire
 IMAGES = build_simavr.ROOT / "build" / "firmware"
 MCU = {"mega_suspension": "atmega2560", "nano_imu": "atmega328p", "mega_speed": "atmega2560"}
@@ -25,11 +26,13 @@ _ffi, _lib = _simavr.ffi, _simavr.lib
 
 
 class Isr(NamedTuple):
-    """How often an interrupt ran, and its cycles with entry and return."""
+    """How often an interrupt ran, its cycles with entry and return, and how long it had to wait."""
 
     count: int
     mean_cycles: float
     max_cycles: int
+    max_wait_cycles: int
+    wait_pc: int
 
 
 class Pin(NamedTuple):
@@ -139,7 +142,9 @@ class Board:
     def isr(self, vector: int) -> Isr:
         """Statistics of an interrupt since the last `clear_statistics`."""
         isr = _lib.avr_isr_read(self._board, vector)
-        return Isr(isr.count, isr.total_cycles / max(isr.count, 1), isr.max_cycles)
+        return Isr(
+            isr.count, isr.total_cycles / max(isr.count, 1), isr.max_cycles, isr.max_wait_cycles, isr.wait_pc
+        )
 
     def turns(self) -> Turns:
         """Statistics of the main loop since the last `clear_statistics`."""
@@ -206,6 +211,42 @@ def run(boards: Iterable[Board], ms: float) -> None:
         raise RuntimeError(f"the simulated program crashed (simavr state {state})")
 
 
+class Actuators:
+    """Four actuators of 9.4 mm/s behind the motor pins of a mega_suspension, potentiometers on A0-A3."""
+
+    FULL_SPEED_MMPS = 9.4
+    LAG_MS = 50.0
+    DUTY_OF_TOP = 799
+
+    def __init__(self, board: Board, stroke_mm: float = 35.0) -> None:
+        self.board = board
+        self.stroke_mm = [stroke_mm] * 4
+        self.rate_mmps = [0.0] * 4
+        self._show()
+
+    def duty(self, corner: int) -> float:
+        """Signed duty at a motor, from the timer's registers: 0 while its pin is disconnected."""
+        control, compare = ((0x80, 0x88), (0x80, 0x8A), (0x90, 0x98), (0x90, 0x9A))[corner]
+        connected = self.board.peek(control) & (0x80, 0x20, 0x80, 0x20)[corner]
+        if not connected:
+            return 0.0
+        duty = (self.board.peek(compare) | self.board.peek(compare + 1) << 8) / self.DUTY_OF_TOP
+        return duty if self.board.peek(0x22) >> corner & 1 else -duty
+
+    def step(self, ms: float) -> None:
+        """Move on."""
+        for corner in range(4):
+            wanted = self.FULL_SPEED_MMPS * self.duty(corner)
+            self.rate_mmps[corner] += (wanted - self.rate_mmps[corner]) * ms / self.LAG_MS
+            self.stroke_mm[corner] += self.rate_mmps[corner] * ms / 1000
+        self._show()
+
+    def _show(self) -> None:
+        for corner, stroke_mm in enumerate(self.stroke_mm):
+            counts = (818 + (15550 - 818) * stroke_mm / 70.0) / 16.0  # default calibration
+            self.board.adc(corner, round(counts))
+
+
 @dataclass
 class Host:
     """The host's end of one board's wire."""
@@ -214,6 +255,7 @@ class Host:
     kinds: tuple[wire.BoardKind, ...]
     seq: int = 0
     log: list[wire.Message] = field(default_factory=list)
+    world: Callable[[float], None] | None = None  # called with the milliseconds that passed
 
     def __post_init__(self) -> None:
         known: dict[int, type[wire.Message]] = {}
@@ -235,7 +277,12 @@ class Host:
 
     def listen(self, ms: float) -> list[wire.Message]:
         """Let time pass and return what came meanwhile."""
-        run(self.boards, ms)
+        if self.world is None:
+            run(self.boards, ms)
+        else:
+            for _ in range(round(ms / WORLD_STEP_MS)):
+                run(self.boards, WORLD_STEP_MS)
+                self.world(WORLD_STEP_MS)
         heard = [received.message for received in self.decoder.feed(self.board.receive())]
         self.log += heard
         return heard

@@ -17,6 +17,15 @@ DIRECTION_PINS = ("A0", "A1", "A2", "A3")
 PERIOD_CYCLES = 800  # 20 kHz
 
 
+def listen_until_ready(pair: Any) -> None:
+    """Let the Nano's filter settle, three seconds after power-on."""
+    for _ in range(40):
+        attitudes = [m for m in pair.listen(100) if isinstance(m, wire.ImuAttitude)]
+        if attitudes and attitudes[-1].flags >> wire.ImuFlag.FILTER_READY & 1:
+            return
+    raise AssertionError("the filter did not settle in four seconds")
+
+
 @pytest.mark.parametrize("name", ["mega_suspension", "mega_speed"])
 def test_board_introduces_itself_unasked_at_boot(
     simulated: ModuleType, make_board: Callable[[str], Any], name: str
@@ -94,7 +103,7 @@ def test_open_switches_read_as_pressed_each_at_its_own_bit(suspension: Any) -> N
 
 
 def test_nano_arms_through_the_mega_and_its_attitude_arrives(pair: Any) -> None:
-    pair.listen(1800)
+    listen_until_ready(pair)
     assert pair.hello(node=1).board_kind == wire.BoardKind.NANO_IMU
     assert pair.arm(node=1).status == wire.AckStatus.OK
     heard = pair.listen(500)
@@ -112,7 +121,7 @@ def test_nano_arms_through_the_mega_and_its_attitude_arrives(pair: Any) -> None:
 
 def test_every_board_follows_at_once(pair: Any) -> None:
     """Both boards armed, setpoints and both nodes' telemetry on one wire: nothing is lost."""
-    pair.listen(1800)
+    listen_until_ready(pair)
     for node in (1, 0):
         assert pair.arm(node).status == wire.AckStatus.OK
     pair.command((0, 0, 0, 0), 50)

@@ -14,16 +14,16 @@ HZ = 16_000_000
 PINS = (("E4", "E5"), ("D2", "D3"))  # A and B of the front and the rear wheel
 STATES = ((0, 0), (1, 0), (1, 1), (0, 1))  # A leads B
 INT2, INT3, INT4, INT5 = 3, 4, 5, 6
-ISR_BUDGET_CYCLES = 160
+ISR_BUDGET_CYCLES = 130
 
 
 def turn(board: Any, rates_hz: tuple[float, float], edges: int, start: tuple[int, int] = (0, 0)) -> int:
-    """Queue `edges` edges on both wheels, negative rates backwards; return the cycle of the last."""
+    """Queue edges, `edges` on the faster wheel, negative rates backwards; return the cycle of the last."""
     begin = board.cycle + 1000
     events = []
     for wheel, rate_hz in enumerate(rates_hz):
         count = start[wheel]
-        for i in range(edges):
+        for i in range(int(edges * abs(rate_hz) / max(map(abs, rates_hz)))):
             before, count = count, count + (1 if rate_hz > 0 else -1)
             at = begin + int((i + 0.137 * wheel) * HZ / abs(rate_hz))
             for signal in (0, 1):
@@ -44,24 +44,24 @@ def run_past(host: Any, cycle: int, chatter: bool) -> wire.WheelSpeed:
     return [m for m in host.log if isinstance(m, wire.WheelSpeed)][-1]
 
 
-def test_both_wheels_lose_nothing_at_25_000_edges_per_second_each(speed: Any) -> None:
-    """With telemetry and a PING every millisecond, as fast as the line takes them."""
+@pytest.mark.parametrize("rate_hz", [25_000, 40_000])
+def test_both_wheels_lose_nothing_at_high_edge_rates(speed: Any, rate_hz: int) -> None:
+    """Both at once, with telemetry and a PING every millisecond, as fast as the line takes them."""
     edges = 6000
-    last = run_past(speed, turn(speed.board, (25_000, -25_000), edges), chatter=True)
+    last = run_past(speed, turn(speed.board, (rate_hz, -rate_hz), edges), chatter=True)
     assert last.edge_counts == (edges, -edges)
     assert last.illegal_counts == (0, 0)
     assert speed.board.overruns() == 0
     assert sum(speed.decoder.rejects) == 0
-    assert sum(isinstance(m, wire.Pong) for m in speed.log) > 200
+    assert sum(isinstance(m, wire.Pong) for m in speed.log) > 60
 
 
-def test_beyond_the_limit_every_wrong_count_comes_with_illegal_steps(speed: Any) -> None:
-    edges = 4000
-    last = run_past(speed, turn(speed.board, (120_000, 120_000), edges), chatter=False)
+def test_beyond_the_limit_every_lost_pair_of_edges_is_an_illegal_step(speed: Any) -> None:
+    edges = 6000
+    last = run_past(speed, turn(speed.board, (60_000, 60_000), edges), chatter=True)
+    assert sum(last.illegal_counts) > 0
     for count, illegal in zip(last.edge_counts, last.illegal_counts, strict=True):
-        if count != edges:
-            assert illegal > 0
-    assert max(last.illegal_counts) > 0
+        assert edges - count == 2 * illegal
     assert speed.board.resets == 0
 
 
@@ -92,7 +92,7 @@ def test_jump_over_a_state_is_counted_as_illegal_and_moves_no_count(speed: Any) 
 def test_speed_is_right_on_the_pins_own_clock(speed: Any) -> None:
     rate_hz = 2400.0  # 10 revolutions a second of 60 teeth
     end = turn(speed.board, (rate_hz, -rate_hz / 2), 600)
-    while speed.board.cycle < end - 100 * 16_000:
+    while speed.board.cycle < end - 20 * 16_000:
         speed.listen(10)
     last = [m for m in speed.log if isinstance(m, wire.WheelSpeed)][-1]
     radps = rate_hz / 240 * 6.283185

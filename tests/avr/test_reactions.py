@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -21,8 +20,8 @@ MOVING = (3.0, -3.0, 3.0, -3.0)
 def driving(armed: Any) -> tuple[Any, list[int]]:
     """A mega_suspension whose four motors run, and the watches of their pins."""
     watches = [armed.board.watch(pin) for pin in PWM_PINS]
-    armed.command(MOVING, 40)
-    assert all(armed.board.watched(watch).rises > 400 for watch in watches)
+    armed.command(MOVING, 100)
+    assert all(armed.board.watched(watch).rises > 1000 for watch in watches)
     return armed, watches
 
 
@@ -33,20 +32,21 @@ def last_activity_ms(host: Any, watches: list[int], since: int) -> float:
     return float(max(pin.last_change - since for pin in pins) / CYCLES_PER_MS)
 
 
-def test_silent_host_stops_the_motion_within_100_ms_and_latches_link_loss(
+def test_silent_host_stops_the_motion_within_100_ms_and_the_outputs_within_300(
     driving: tuple[Any, list[int]],
 ) -> None:
     host, watches = driving
+    strokes_mm = host.world.__self__.stroke_mm
     silent_since = host.board.cycle
-    heard = host.listen(400)
-    assert last_activity_ms(host, watches, silent_since) < 100
-    states = [m for m in heard if isinstance(m, wire.SuspensionState)]
-    lost_at = next(i for i, m in enumerate(states) if m.state == wire.BoardState.FAULT)
-    assert states[lost_at].t_us - states[0].t_us < 300_000
-    health = host.health()
-    assert health.faults >> wire.Fault.LINK_LOST & 1
+    host.listen(100)
+    held_mm = list(strokes_mm)
+    heard = host.listen(300)
+    assert strokes_mm == pytest.approx(held_mm, abs=0.15)  # it holds where it was, then stays
+    assert last_activity_ms(host, watches, silent_since) < 300
+    assert [m for m in heard if isinstance(m, wire.SuspensionState)][-1].state == wire.BoardState.FAULT
+    assert host.health().faults >> wire.Fault.LINK_LOST & 1
     host.command(MOVING, 60)  # a host that comes back does not move it
-    assert last_activity_ms(host, watches, silent_since) < 100
+    assert last_activity_ms(host, watches, silent_since) < 300
 
 
 def test_estop_input_switches_everything_off_within_20_ms(driving: tuple[Any, list[int]]) -> None:
@@ -121,7 +121,9 @@ def test_reset_button_is_told_from_power_on_and_keeps_no_fault(speed: Any) -> No
     assert (who.reset_cause, who.last_fault) == (2, 0)
 
 
-def test_motor_pins_stay_low_through_power_on(simulated: ModuleType, make_board: Callable[[str], Any]) -> None:
+def test_motor_pins_stay_low_through_power_on(
+    simulated: ModuleType, make_board: Callable[[str], Any]
+) -> None:
     board = make_board("mega_suspension")
     watches = [board.watch(pin) for pin in PWM_PINS]
     board.run_ms(500)

@@ -46,9 +46,7 @@ class WheelSpeed {
     if (snapshot.illegal_counts != seen_.illegal_counts) pitch_.forget();
     uint8_t crossed = 0;
     for (uint8_t phase = 0; phase < kEdgesPerTooth; ++phase) {
-      if (snapshot.stamps_ticks[phase] == seen_.stamps_ticks[phase] &&
-          snapshot.positions[phase] == seen_.positions[phase])
-        continue;
+      if (snapshot.crossings[phase] == seen_.crossings[phase]) continue;
       crossed = static_cast<uint8_t>(crossed + 1);
       crossings_[phase] = crossing_of(snapshot, phase);
     }
@@ -94,8 +92,9 @@ class WheelSpeed {
   static constexpr uint32_t kAgeLimit_ticks = 65535 * kTicksPerMs;
 
   Crossing crossing_of(const EdgeSnapshot& snapshot, uint8_t phase) const {
-    const int8_t offset = static_cast<int8_t>(snapshot.positions[phase] - static_cast<uint8_t>(count_));
-    const uint16_t age = static_cast<uint16_t>(snapshot.now_ticks - snapshot.stamps_ticks[phase]);
+    const int8_t offset =
+        static_cast<int8_t>(snapshot.crossings[phase].position - static_cast<uint8_t>(count_));
+    const uint16_t age = static_cast<uint16_t>(snapshot.now_ticks - snapshot.crossings[phase].stamp_ticks);
     return Crossing{count_ + offset, now_ - age, true};
   }
 
