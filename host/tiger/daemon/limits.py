@@ -1,8 +1,8 @@
 """What the daemon watches: a table of limits on measurements, and what devices report as faults.
 
 A limit that is exceeded while the robot is armed stops it; before, it keeps the robot from being armed. A
-sample that is only late holds the robot still, as mega_suspension does with late setpoints, and stops it when it
-stays late.
+sample that is only late holds the robot still, as mega_suspension does with late setpoints, and stops it when
+it stays late.
 """
 
 from __future__ import annotations
