@@ -97,8 +97,8 @@ def magic_formula(t: Row, load: float, kappa: float, tan_alpha: float) -> tuple[
     slip_y = lateral_stiffness(t, load) / (t.pcy1 * peak_y) * tan_alpha
     pure_y = peak_y * sin(t.pcy1 * atan(slip_y - curvature_y * (slip_y - atan(slip_y))))
 
-    # Each slip takes grip from the other, at most all of it (C > 1 would turn the force round at large slips);
-    # cos(atan u) = 1/sqrt(1 + u^2).
+    # Each slip takes grip from the other, at most all of it (C > 1 would turn the force round at large
+    # slips); cos(atan u) = 1/sqrt(1 + u^2).
     weight_x = cos(t.rcx1 * atan(t.rbx1 / sqrt(1.0 + (t.rbx2 * kappa) ** 2) * tan_alpha))
     weight_y = cos(t.rcy1 * atan(t.rby1 / sqrt(1.0 + (t.rby2 * tan_alpha) ** 2) * kappa))
     return max(0.0, weight_x) * pure_x, max(0.0, weight_y) * pure_y

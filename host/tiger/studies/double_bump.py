@@ -85,7 +85,7 @@ def run(
         for case in CASES
     ]
     rows += [
-        Row(f"{name}, {case}/passive", figures[case][name][0] / figures["passive"][name][0], "-")
+        Row(f"{name}, {case}/passive", _ratio(figures[case][name][0], figures["passive"][name][0]), "-")
         for name in ("roll, RMS", "pitch, RMS", "load transfer, peak", "path deviation, peak")
         for case in CASES[1:]
     ]
@@ -250,6 +250,11 @@ def _cross(
         suspension.act(state, inputs)
 
     return drive(plant, plant.rolling(speed), duration_s, dt_s, act)
+
+
+def _ratio(value: float, passive: float) -> float:
+    """Quotient, or NaN where the passive car does not move either."""
+    return value / passive if passive > 0.0 else float("nan")
 
 
 def _figures(history: History) -> dict[str, tuple[float, str]]:
