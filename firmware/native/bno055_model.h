@@ -44,6 +44,9 @@ class Bno055Model {
   }
   void advance(uint64_t now_us);
   void power_on();  // the supply comes back, or the reset pin was pulled: all registers are lost
+  uint8_t register_value(uint8_t page, uint8_t reg) const {
+    return page == 0 && reg == 0x3D ? mode_ : pages_[page & 1][reg & 0x7F];
+  }
   bool is_measuring() const { return mode_ == 0x07 && now_us_ >= mode_ready_us_; }
 
   // ---- the two-wire bus, one byte at a time

@@ -12,6 +12,9 @@ void tiger_imu_set(tiger_board* board, const double accel_mps2[3], const double 
 
 void tiger_imu_fault(tiger_board* board, uint32_t faults) { hal_of<ImuHal>(board).chip().set_faults(faults); }
 uint32_t tiger_imu_faults(tiger_board* board) { return hal_of<ImuHal>(board).chip().faults(); }
+uint8_t tiger_imu_register(tiger_board* board, uint8_t page, uint8_t reg) {
+  return hal_of<ImuHal>(board).chip().register_value(page, reg);
+}
 void tiger_imu_power_cycle(tiger_board* board) { hal_of<ImuHal>(board).chip().power_on(); }
 
 void tiger_imu_dither(tiger_board* board, double counts_rms) {

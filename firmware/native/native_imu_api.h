@@ -19,6 +19,9 @@ void tiger_imu_set(tiger_board* board, const double accel_mps2[3], const double 
 void tiger_imu_fault(tiger_board* board, uint32_t faults);
 uint32_t tiger_imu_faults(tiger_board* board);
 
+// What a register of the chip holds, on page 0 or 1.
+uint8_t tiger_imu_register(tiger_board* board, uint8_t page, uint8_t reg);
+
 // The chip alone loses its supply for a moment.
 void tiger_imu_power_cycle(tiger_board* board);
 

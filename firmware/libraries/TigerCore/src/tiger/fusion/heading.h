@@ -25,9 +25,9 @@ struct HeadingTuning {
   float quiet_s = 0.5f;           // undisturbed this long before the field is believed again
   float reject_max_s = 60.0f;
   float reject_factor = 2.0f;
-  float new_field_s = 60.0f;            // a foreign field steady this long, in motion, is the new reference
-  float first_field_s = 5.0f;           // the very first one
-  float new_field_rate_radps = 0.349f;  // 20 degrees/s: what counts as motion
+  float new_field_s = 60.0f;          // a foreign field steady this long, in motion, is the new reference
+  float first_field_s = 5.0f;         // the very first one, in motion or not
+  float new_field_rate_radps = 0.1f;  // 6 degrees/s: what counts as motion
 };
 
 struct HeadingGains {
@@ -119,15 +119,15 @@ class Heading {
   }
 
   void consider_new_field(const HeadingGains& gains, bool turning) {
-    if (!match(gains, smooth_, candidate_)) {
+    if (!disturbed_ || !match(gains, smooth_, candidate_)) {
       candidate_s_ = 0.0f;
       candidate_ = smooth_;
       return;
     }
-    if (turning) candidate_s_ += gains.period_s;
-    follow(candidate_, smooth_, gains.share_reference);
     const bool first = reference_.norm <= 0.0f;
-    if (disturbed_ && candidate_s_ >= (first ? gains.first_field_s : gains.new_field_s)) {
+    if (turning || first) candidate_s_ += gains.period_s;
+    follow(candidate_, smooth_, gains.share_reference);
+    if (candidate_s_ >= (first ? gains.first_field_s : gains.new_field_s)) {
       reference_ = candidate_;
       disturbed_ = false;
       quiet_s_ = gains.quiet_s;

@@ -250,8 +250,9 @@ class Bno055 {
     } else if (lost) {
       bring_up(now_us);
     } else {
+      if (job_ == Job::Burst) next_burst(now_us);
       job_ = Job::Burst;
-      next_burst(now_us);
+      next_us_ = burst_us_;
     }
   }
 
@@ -302,7 +303,7 @@ class Bno055 {
       return;
     }
     job_ = Job::Burst;
-    next_burst(now_us);
+    next_us_ = burst_us_;
   }
 
   bool finish_burst(uint32_t now_us, const uint8_t* data, ImuReading& reading) {
