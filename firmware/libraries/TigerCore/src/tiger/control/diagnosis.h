@@ -60,7 +60,7 @@ class Diagnosis {
     untrusted_ = false;
     const int32_t way = reading - anchor_;
     if (drive == 0) return check_idle(reading, way);
-    if (magnitude(drive) < full_speed / 4) {  // stiction may hold it
+    if (magnitude(drive) < full_speed / 2) {  // friction may take most of it
       anchor(reading);
       return Fault::kNone;
     }
