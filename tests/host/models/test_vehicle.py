@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -536,3 +541,29 @@ def test_rollover_index_is_the_share_of_load_gone_to_one_side() -> None:
     history = vehicle.simulate(vehicle.rolling(10.0), inputs, 5.0)
     arm = 1410.0 * GRAVITY_MPS2 * CAR.body.half_track_m
     assert history.load_transfer[-1] == pytest.approx(-1000.0 / arm, rel=0.08)
+
+
+def test_interpreted_source_moves_as_the_compiled_one_does() -> None:
+    program = (
+        "from tiger.config.tire import load_soil; from tiger.config.vehicle import load_vehicle\n"
+        "from tiger.models.terrain import Terrain; from tiger.models.vehicle import Inputs, Vehicle\n"
+        "ground = Terrain.random('D', 1, (10.0, 6.0)).with_bump(0.1, 0.0, 1.0)\n"
+        "for soil in (None, load_soil('dry-sand')):\n"
+        "    vehicle, inputs = Vehicle(load_vehicle('tiger'), ground, soil=soil), Inputs()\n"
+        "    inputs.wheel_torque_nm[:] = [5.0, 6.0, 5.0, 6.0]\n"
+        "    print(repr(vehicle.step(vehicle.rolling(2.0, 0.5), inputs, 1e-3, 25).tolist()))\n"
+    )
+
+    def states(**environment: str) -> np.ndarray:
+        run = subprocess.run(
+            [sys.executable, "-c", program],
+            env={**os.environ, **environment},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return np.array([json.loads(line) for line in run.stdout.splitlines()])
+
+    np.testing.assert_allclose(
+        states(NUMBA_DISABLE_JIT="1"), states(NUMBA_DISABLE_JIT="0"), rtol=1e-9, atol=1e-9
+    )
