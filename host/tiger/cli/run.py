@@ -1,0 +1,367 @@
+"""`tiger run`: the daemon on the real robot, or on the emulated one in real or virtual time."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from tiger.config.robot import RobotConfig
+    from tiger.daemon.clock import Lateness
+    from tiger.daemon.daemon import Daemon
+    from tiger.record import Record
+
+SERIES_HZ = 100.0
+ARM_PATIENCE_S = 30.0
+LEVEL_BAND_DEG = 0.5
+
+
+@dataclass
+class Wishes:
+    """What the command line asked for."""
+
+    arm: bool
+    speed_mps: float
+    yaw_rate_radps: float
+    duration_s: float | None
+
+
+@dataclass
+class Journal:
+    """What a run was like: the series for --json, and what its last line says."""
+
+    series: dict[str, list[Any]] = field(
+        default_factory=lambda: {
+            name: []
+            for name in (
+                "time_s",
+                "roll_true_deg",
+                "pitch_true_deg",
+                "roll_est_deg",
+                "pitch_est_deg",
+                "stroke_mm",
+                "rate_cmd_mmps",
+            )
+        }
+    )
+    ticks: int = 0
+    armed_ticks: int = 0
+    level_ticks: int = 0
+    first_armed_s: float | None = None
+    stops: list[str] = field(default_factory=list)
+    last: Record | None = None
+    last_time_s: float = 0.0
+
+    def add(self, record: Record, time_s: float, truth_deg: tuple[float, float] | None, keep: bool) -> None:
+        """Take one tick; `truth_deg` is the true roll and pitch where someone knows them."""
+        from tiger.record import DaemonState
+
+        estimate = record.outputs.estimate
+        attitude = (math.degrees(estimate.roll_rad), math.degrees(estimate.pitch_rad))
+        self.ticks += 1
+        if record.state is DaemonState.ARMED:
+            self.armed_ticks += 1
+            if self.first_armed_s is None:
+                self.first_armed_s = time_s
+            self.level_ticks += max(map(abs, truth_deg or attitude)) < LEVEL_BAND_DEG
+        stopped = record.state in (DaemonState.FAULT, DaemonState.ESTOP)
+        if stopped and (self.last is None or self.last.state is not record.state):
+            self.stops.append(f"{time_s:.2f} s: {record.reason}")
+        self.last, self.last_time_s = record, time_s
+        if keep:
+            self._keep(record, time_s, truth_deg, attitude)
+
+    def _keep(
+        self,
+        record: Record,
+        time_s: float,
+        truth_deg: tuple[float, float] | None,
+        attitude: tuple[float, float],
+    ) -> None:
+        roll_true, pitch_true = truth_deg or (None, None)
+        known = record.outputs.estimate.ready
+        strokes = record.inputs.strokes
+        row = {
+            "time_s": round(time_s, 6),
+            "roll_true_deg": roll_true,
+            "pitch_true_deg": pitch_true,
+            "roll_est_deg": attitude[0] if known else None,
+            "pitch_est_deg": attitude[1] if known else None,
+            "stroke_mm": list(strokes.stroke_mm) if strokes else [None] * 4,
+            "rate_cmd_mmps": list(record.outputs.stroke_rate_mmps),
+        }
+        for name, value in row.items():
+            self.series[name].append(value)
+
+    def summary(self, lateness: Lateness | None) -> dict[str, Any]:
+        """Figures of the whole run."""
+        last = self.last
+        return {
+            "state": last.state.name if last else "NONE",
+            "reason": last.reason if last else "",
+            "duration_s": round(self.last_time_s, 3),
+            "ticks": self.ticks,
+            "first_armed_s": self.first_armed_s,
+            "armed_share": self.armed_ticks / self.ticks if self.ticks else 0.0,
+            "level_share_of_armed": self.level_ticks / self.armed_ticks if self.armed_ticks else 0.0,
+            "stops": self.stops,
+            "problems": [str(problem) for problem in last.problems] if last else [],
+            "links": {
+                link.name: {
+                    "state": link.state,
+                    "frames": link.rx_frames,
+                    "refused": link.rejects,
+                    "refused_by_board": link.board_rejects,
+                    "lost": link.seq_gaps,
+                }
+                for link in (last.links if last else ())
+            },
+            "lateness_us": lateness.summary() if lateness else None,
+        }
+
+    def last_line(self, wished_armed: bool, lateness: Lateness | None) -> tuple[str, bool]:
+        """How it went in one line, and whether it went well."""
+        last = self.last
+        if last is None:
+            return "Nothing happened.", False
+        late = f" Ticks were late by {_late(lateness)}." if lateness and lateness.ticks else ""
+        if self.stops:
+            return f"Stopped at {self.stops[0]}; ended {last.state.name}.{late}", False
+        if self.armed_ticks:
+            share = 100.0 * self.level_ticks / self.armed_ticks
+            return (
+                f"Armed from {self.first_armed_s:.1f} s; within {LEVEL_BAND_DEG:g} degrees of level for "
+                f"{share:.1f} % of that time; no faults.{late}",
+                True,
+            )
+        why = f" {last.problems[0]}" if last.problems else ""
+        return f"Never armed: {last.state.name.lower()}, {last.reason}.{why}{late}", not wished_armed
+
+
+def _late(lateness: Lateness) -> str:
+    figures = lateness.summary()
+    return f"{figures['p50_us'] / 1e3:.2f} ms (median), {figures['p99_us'] / 1e3:.2f} ms (99 %)"
+
+
+def run(
+    config: Annotated[
+        Path | None, typer.Option("--config", help="robot.toml; what it leaves out keeps its default.")
+    ] = None,
+    emulate: Annotated[
+        str | None, typer.Option("--emulate", help="Run on the emulated robot in this scenario, and arm.")
+    ] = None,
+    arm: Annotated[
+        bool, typer.Option("--arm", help="Arm the robot as soon as it is ready. It moves.")
+    ] = False,
+    duration: Annotated[
+        float | None, typer.Option("--duration", min=0.1, help="Seconds; default: until interrupted.")
+    ] = None,
+    virtual_time: Annotated[
+        bool, typer.Option("--virtual-time", help="As fast as this computer can; needs --emulate.")
+    ] = False,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write summary and series to this file.")
+    ] = None,
+    speed: Annotated[float, typer.Option("--speed", help="Forward speed in m/s once armed.")] = 0.0,
+    yaw_rate: Annotated[
+        float, typer.Option("--yaw-rate", help="Yaw rate in degrees/s once armed, + turns left.")
+    ] = 0.0,
+    seed: Annotated[int, typer.Option("--seed", help="Of everything random in the emulation.")] = 0,
+) -> None:
+    """Run the robot: find its devices, arm, level the body, drive the wheels."""
+    from tiger.config.errors import ConfigError
+    from tiger.config.robot import load_robot
+
+    if virtual_time and emulate is None:
+        _fail("--virtual-time needs --emulate SCENARIO: a real robot lives in real time")
+    wishes = Wishes(arm or emulate is not None, speed, math.radians(yaw_rate), duration)
+    try:
+        robot = load_robot(config)
+        if emulate is None:
+            outcome = _run_hardware(robot, wishes)
+        elif virtual_time:
+            outcome = _run_virtual(robot, emulate, seed, wishes)
+        else:
+            outcome = _run_emulated(robot, emulate, seed, wishes)
+    except ConfigError as error:
+        _fail(str(error))
+    journal, lateness = outcome
+    if json_file is not None:
+        report = {"summary": journal.summary(lateness), "series": journal.series}
+        report["summary"] |= {"scenario": emulate, "seed": seed if emulate else None}
+        _write_json(json_file, report)
+    line, good = journal.last_line(wishes.arm, lateness)
+    typer.echo(line)
+    if not good:
+        raise typer.Exit(1)
+
+
+def _fail(message: str) -> None:
+    typer.echo(message, err=True)
+    raise typer.Exit(2)
+
+
+def _write_json(file: Path, report: dict[str, Any]) -> None:
+    try:
+        file.write_text(json.dumps(report), encoding="utf-8")
+    except OSError as error:
+        _fail(f"{file}: cannot be written ({error.strerror}); choose another place")
+
+
+class _Driver:
+    """Carries the user's wishes to the daemon, tick by tick."""
+
+    def __init__(self, daemon: Daemon, wishes: Wishes) -> None:
+        self.daemon = daemon
+        self.wishes = wishes
+        if wishes.arm:
+            daemon.arm(ARM_PATIENCE_S)
+
+    def after(self, record: Record) -> None:
+        """Set the speed once the robot is armed, and take it back when it is not: arming needs neutral."""
+        from tiger.record import Command, DaemonState
+
+        wishes = self.wishes
+        if not (wishes.speed_mps or wishes.yaw_rate_radps):
+            return
+        armed = record.state is DaemonState.ARMED
+        if armed != bool(self.daemon.command.speed_mps or self.daemon.command.yaw_rate_radps):
+            command = Command(speed_mps=wishes.speed_mps, yaw_rate_radps=wishes.yaw_rate_radps)
+            self.daemon.command = command if armed else Command()
+
+    def press(self, keys: str) -> bool:
+        """Obey keys; returns False when the user wants to quit."""
+        actions = {
+            "a": self.daemon.arm,
+            "d": self.daemon.disarm,
+            "c": self.daemon.clear,
+            " ": self.daemon.estop,
+        }
+        for key in keys:
+            if key in actions:
+                actions[key]()
+        return "q" not in keys
+
+
+class _Printer:
+    """For output that is no terminal: a line whenever something changes."""
+
+    def __init__(self) -> None:
+        self._before: tuple[Any, ...] = ()
+
+    def show(self, record: Record, time_s: float) -> None:
+        """Say what has changed."""
+        now = (record.state, record.reason, record.problems)
+        if now != self._before:
+            self._before = now
+            problems = "".join(f"\n  ! {problem}" for problem in record.problems)
+            typer.echo(f"{time_s:8.2f} s  {record.state.name}: {record.reason}{problems}")
+
+
+def _run_virtual(robot: RobotConfig, scenario_name: str, seed: int, wishes: Wishes) -> tuple[Journal, None]:
+    from contextlib import nullcontext
+
+    from tiger.cli.live import FRAMES_PER_S, Screen, is_terminal
+    from tiger.emulation.scenarios import load_scenario
+    from tiger.rig.virtual import Rig
+
+    scenario = load_scenario(scenario_name)
+    rig = Rig(robot, scenario, seed)
+    journal, driver, printer = Journal(), _Driver(rig.daemon, wishes), _Printer()
+    every = max(round(robot.loop.rate_hz / SERIES_HZ), 1)
+    duration_s = wishes.duration_s if wishes.duration_s is not None else scenario.duration_s
+    drawn_s = -math.inf
+    with Screen(f"TIGER, emulated: {scenario.title}") if is_terminal() else nullcontext() as screen:
+        for tick, record in enumerate(rig.run(duration_s)):
+            driver.after(record)
+            keep = tick % every == 0
+            truth = rig.robot.truth()
+            journal.add(record, rig.time_s, (truth.roll_deg, truth.pitch_deg), keep)
+            if screen is None:
+                printer.show(record, rig.time_s)
+            elif time.monotonic() - drawn_s > 1.0 / FRAMES_PER_S:
+                drawn_s = time.monotonic()
+                screen.show(record, rig.daemon.log_lines)
+    rig.daemon.close()
+    return journal, None
+
+
+def _run_emulated(
+    robot: RobotConfig, scenario_name: str, seed: int, wishes: Wishes
+) -> tuple[Journal, Lateness]:
+    from tiger.emulation.scenarios import load_scenario
+    from tiger.rig.separate import SeparateRobot
+
+    scenario = load_scenario(scenario_name)
+    if wishes.duration_s is None:
+        wishes.duration_s = scenario.duration_s
+    with SeparateRobot(robot.vehicle, scenario_name, seed) as emulated:
+
+        def truth() -> tuple[float, float, float]:
+            now = emulated.truth()
+            return now.time_s, now.roll_deg, now.pitch_deg
+
+        config = robot.model_copy(update={"ports": emulated.ports})
+        return _run_real_time(config, wishes, f"TIGER, emulated: {scenario.title}", truth)
+
+
+def _run_hardware(robot: RobotConfig, wishes: Wishes) -> tuple[Journal, Lateness]:
+    return _run_real_time(robot, wishes, "TIGER", None)
+
+
+def _run_real_time(robot: RobotConfig, wishes: Wishes, title: str, truth: Any) -> tuple[Journal, Lateness]:
+    """Run the loop in this thread; `truth` returns (time_s, roll_deg, pitch_deg) of an emulated world."""
+    from contextlib import nullcontext
+
+    from tiger.cli.live import ScreenProcess, is_terminal
+    from tiger.daemon import loop
+    from tiger.daemon.clock import MonotonicClock
+    from tiger.daemon.daemon import Daemon
+    from tiger.devices.ports import SerialPorts
+
+    stop_asked = False
+
+    def stop(*_: object) -> None:
+        nonlocal stop_asked
+        stop_asked = True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+
+    clock = MonotonicClock()
+    start_s = clock.now_s()
+    daemon = Daemon(robot, SerialPorts(), clock, nonce=int(start_s * 1e3) & 0xFFFF)
+    driver, journal, printer = _Driver(daemon, wishes), Journal(), _Printer()
+    every = max(round(robot.loop.rate_hz / SERIES_HZ), 1)
+    draw_every = max(round(robot.loop.rate_hz / 50.0), 1)
+    with ScreenProcess(title) if is_terminal() else nullcontext() as screen:
+        for refused in loop.prepare(robot.loop):
+            typer.echo(f"note: {refused}", err=True)
+
+        def on_record(record: Record) -> bool:
+            driver.after(record)
+            if truth is None:
+                journal.add(record, clock.now_s() - start_s, None, record.tick % every == 0)
+            else:
+                time_s, roll_deg, pitch_deg = truth()
+                journal.add(record, time_s, (roll_deg, pitch_deg), record.tick % every == 0)
+            if screen is None:
+                printer.show(record, journal.last_time_s)
+            elif record.tick % draw_every == 0:
+                return driver.press(screen.exchange(record, daemon.log_lines)) and not stop_asked
+            return not stop_asked
+
+        try:
+            lateness = loop.run(daemon, clock, on_record, wishes.duration_s)
+        finally:
+            daemon.close()
+    sys.stdout.flush()
+    return journal, lateness
