@@ -183,6 +183,7 @@ def run(
     if virtual_time and emulate is None:
         _fail("--virtual-time needs --emulate SCENARIO: a real robot lives in real time")
     wishes = Wishes(arm or emulate is not None, speed, math.radians(yaw_rate), duration)
+    outcome: tuple[Journal, Lateness | None]
     try:
         robot = load_robot(config)
         if emulate is None:

@@ -1,4 +1,4 @@
-"""The emulated robot in real time and in a process of its own, with only pseudo-terminals between it and a daemon.
+"""The emulated robot in real time and in a process of its own, behind pseudo-terminals.
 
 with SeparateRobot(vehicle, "shaking-plate", seed=0) as robot:
     daemon = Daemon(config.model_copy(update={"ports": robot.ports}), SerialPorts(), MonotonicClock())
@@ -36,7 +36,7 @@ class SeparateRobot:
     """Context manager; see the module's text."""
 
     def __init__(self, vehicle: VehicleConfig, scenario: str, seed: int = 0) -> None:
-        """`scenario` is a name or a path; raises ConfigError later, in `__enter__`, when it cannot be used."""
+        """`scenario` is a name or a path, and must be one that can be loaded."""
         context = multiprocessing.get_context("spawn")
         self._folder = tempfile.TemporaryDirectory(prefix="tiger-")
         self._truth: Any = RawArray("d", len(SeparateTruth._fields))
