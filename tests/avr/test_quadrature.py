@@ -58,10 +58,11 @@ def test_both_wheels_lose_nothing_at_high_edge_rates(speed: Any, rate_hz: int) -
 
 def test_beyond_the_limit_every_lost_pair_of_edges_is_an_illegal_step(speed: Any) -> None:
     edges = 6000
-    last = run_past(speed, turn(speed.board, (60_000, 60_000), edges), chatter=True)
+    last = run_past(speed, turn(speed.board, (57_000, 50_300), edges), chatter=True)
     assert sum(last.illegal_counts) > 0
-    for count, illegal in zip(last.edge_counts, last.illegal_counts, strict=True):
-        assert edges - count == 2 * illegal
+    turned = (edges, int(edges * 50_300 / 57_000))
+    for sent, count, illegal in zip(turned, last.edge_counts, last.illegal_counts, strict=True):
+        assert sent - count == 2 * illegal
     assert speed.board.resets == 0
 
 

@@ -121,9 +121,7 @@ def test_reset_button_is_told_from_power_on_and_keeps_no_fault(speed: Any) -> No
     assert (who.reset_cause, who.last_fault) == (2, 0)
 
 
-def test_motor_pins_stay_low_through_power_on(
-    simulated: ModuleType, make_board: Callable[[str], Any]
-) -> None:
+def test_motor_pins_stay_low_through_power_on(make_board: Callable[[str], Any]) -> None:
     board = make_board("mega_suspension")
     watches = [board.watch(pin) for pin in PWM_PINS]
     board.run_ms(500)

@@ -30,7 +30,7 @@ class WheelSpeed {
     count_ = static_cast<int16_t>(first.count);
     now_ = first.now_ticks;
     age_ticks_ = kAgeLimit_ticks;
-    speed_edges_per_tick_ = 0.0f;
+    measured_edges_per_tick_ = 0.0f;
     latest_ = Crossing{0, 0, false};
     start_ = latest_;
     halt();
@@ -147,7 +147,8 @@ class WheelSpeed {
     const uint32_t ticks = latest_.time_ticks - from.time_ticks;
     if (ticks != 0) {
       const float travel = static_cast<float>(pitch_.travel(from.position, latest_.position));
-      speed_edges_per_tick_ = travel / (static_cast<float>(ToothPitch::kOne) * static_cast<float>(ticks));
+      measured_edges_per_tick_ = travel / (static_cast<float>(ToothPitch::kOne) * static_cast<float>(ticks));
+      speed_edges_per_tick_ = measured_edges_per_tick_;
       stopped_ = false;
     }
     for (uint8_t i = 0; i < kEdgesPerTooth; ++i)
@@ -159,15 +160,15 @@ class WheelSpeed {
       if (age_ticks_ > config_.zero_speed_ms * kTicksPerMs) forget_edges();
       return;
     }
-    const float age = static_cast<float>(age_ticks_);
-    const bool forward = speed_edges_per_tick_ > 0.0f;
+    const bool forward = measured_edges_per_tick_ > 0.0f;
     const int32_t next = forward ? latest_.position : latest_.position - 1;
     const float pitch =
         static_cast<float>(pitch_.travel(next, next + 1)) / static_cast<float>(ToothPitch::kOne);
-    const float speed = forward ? speed_edges_per_tick_ : -speed_edges_per_tick_;
-    if (age * speed > 1.5f * pitch || age_ticks_ > config_.zero_speed_ms * kTicksPerMs) {
+    const float age = static_cast<float>(age_ticks_);
+    const float expected = (forward ? age : -age) * measured_edges_per_tick_;  // travel since the last edge
+    if (expected > 1.5f * pitch || age_ticks_ > config_.zero_speed_ms * kTicksPerMs) {
       halt();
-    } else if (age * speed > pitch) {
+    } else if (expected > pitch) {
       speed_edges_per_tick_ = (forward ? pitch : -pitch) / age;
     }
   }
@@ -195,7 +196,8 @@ class WheelSpeed {
   uint32_t now_;
   uint32_t age_ticks_;
   int32_t count_;
-  float speed_edges_per_tick_;
+  float measured_edges_per_tick_;  // at the last edge
+  float speed_edges_per_tick_;     // now
   Crossing latest_;
   Crossing start_;                       // first edge after a rest
   Crossing crossings_[kEdgesPerTooth];   // newest of each phase
