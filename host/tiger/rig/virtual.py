@@ -1,4 +1,4 @@
-"""The whole robot in one process and in virtual time: the daemon's ticks between the emulated robot's milliseconds.
+"""The whole robot in one process, in virtual time: daemon ticks between the emulated robot's milliseconds.
 
 rig = Rig(load_robot(None), load_scenario("shaking-plate"), seed=0)
 rig.daemon.arm()
