@@ -57,6 +57,8 @@ class LevelingDesign:
     suspension: Suspension
     ride_mm: float
     """Lift of the default ride height."""
+    turn_limits_radps: tuple[float, float]
+    """Fastest roll and pitch about the default ride height, each alone."""
     error_gain_per_s: float
     rate_gain: float
     lag_s: float
@@ -116,10 +118,13 @@ def design_leveling(robot: RobotConfig) -> LevelingDesign:
     power = expm(flow * dt)
     ratio = (config.rate_weight_degps / config.angle_weight_deg) ** 2
     gain = dlqr(power[:2, :2], power[:2, 2:], np.diag([ratio, 0.0]), np.eye(1)).gain[0]
+    ride_mm, ratio = suspension.curve.at(config.ride_stroke_mm)
+    fastest_mmps = ratio * suspension.rate_mmps
     return LevelingDesign(
         config=config,
         suspension=suspension,
-        ride_mm=suspension.curve.at(config.ride_stroke_mm)[0],
+        ride_mm=ride_mm,
+        turn_limits_radps=(fastest_mmps / suspension.y_mm[0], fastest_mmps / suspension.x_mm[0]),
         error_gain_per_s=float(-gain[0]),
         rate_gain=float(gain[1]),
         lag_s=lag,

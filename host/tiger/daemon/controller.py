@@ -20,6 +20,7 @@ from tiger.control import attitude, drive
 from tiger.control.attitude import LevelingDesign, LevelingState, Target
 from tiger.control.drive import DriveDesign, DriveState
 from tiger.control.reachable import Pose
+from tiger.control.rhythm import Rhythm, followable, learn
 from tiger.estimation import attitude_observer as observer
 from tiger.estimation.attitude_observer import ObserverDesign, ObserverState
 from tiger.record import Command, Estimate, Inputs, Mode, Outputs
@@ -48,6 +49,8 @@ class ControllerState:
     observer: ObserverState
     leveling: LevelingState = field(default_factory=LevelingState)
     drive: DriveState = field(default_factory=DriveState)
+    ground: tuple[Rhythm, Rhythm] = (Rhythm(), Rhythm())
+    """What was learned of the ground's rocking in roll and in pitch."""
     imu_t_s: float = -math.inf
     """Time of the IMU sample last used."""
 
@@ -75,10 +78,17 @@ def step(
     observed, estimate = _observe(design, state, inputs)
     imu_t_s = state.imu_t_s if inputs.imu is None else inputs.imu.t_s
     strokes, command = inputs.strokes, inputs.command
-    if not inputs.armed or strokes is None or not estimate.ready:
-        return ControllerState(observed, imu_t_s=imu_t_s), Outputs(estimate=estimate, reason="not armed")
+    if strokes is None or not estimate.ready:
+        return ControllerState(observed, imu_t_s=imu_t_s), Outputs(estimate=estimate, reason="not ready")
+    ground = (
+        learn(state.ground[0], estimate.plate_roll_rad, estimate.plate_roll_rate_radps, dt),
+        learn(state.ground[1], estimate.plate_pitch_rad, estimate.plate_pitch_rate_radps, dt),
+    )
+    if not inputs.armed:
+        idle = ControllerState(observed, ground=ground, imu_t_s=imu_t_s)
+        return idle, Outputs(estimate=estimate, reason="not armed")
 
-    target, reason = _target(design, command, estimate)
+    target, reason = _target(design, command, _Known(estimate, ground))
     leveling, levelled = attitude.step(design.leveling, state.leveling, target, strokes.stroke_mm, dt)
     driving, wheel_rpm = drive.step(design.drive, state.drive, command, inputs, dt)
     unreachable = target is not None and target.unreachable
@@ -92,7 +102,7 @@ def step(
         unreachable=unreachable,
         at_limit=levelled.at_limit,
     )
-    return ControllerState(observed, leveling, driving, imu_t_s), outputs
+    return ControllerState(observed, leveling, driving, ground, imu_t_s), outputs
 
 
 def _observe(
@@ -113,7 +123,15 @@ def _observe(
 # ---- modes --------------------------------------------------
 
 
-def _target(design: ControllerDesign, command: Command, estimate: Estimate) -> tuple[Target | None, str]:
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """What a mode may look at."""
+
+    estimate: Estimate
+    ground: tuple[Rhythm, Rhythm]
+
+
+def _target(design: ControllerDesign, command: Command, known: _Known) -> tuple[Target | None, str]:
     """Return the target of the command's mode, None to stand still, and what to tell the user."""
     most = design.max_angle_rad
     roll = min(most, max(-most, command.roll_rad))
@@ -122,33 +140,54 @@ def _target(design: ControllerDesign, command: Command, estimate: Estimate) -> t
     refuse = design.robot.leveling.out_of_reach == "refuse"
     if refuse and mode.has_attitude and not design.leveling.suspension.reachable(roll, pitch):
         return None, f"{command.mode}: refused, the strokes do not reach this attitude"
-    target = mode.target(design, replace(command, roll_rad=roll, pitch_rad=pitch), estimate)
+    target = mode.target(design, replace(command, roll_rad=roll, pitch_rad=pitch), known)
     if target is not None and target.unreachable:
         return target, f"{command.mode}: out of reach, holding the nearest attitude"
     return target, str(command.mode)
 
 
-def _hold(design: ControllerDesign, command: Command, estimate: Estimate) -> Target | None:
+def _hold(design: ControllerDesign, command: Command, known: _Known) -> Target | None:
     return None
 
 
-def _level(design: ControllerDesign, command: Command, estimate: Estimate) -> Target | None:
+def _level(design: ControllerDesign, command: Command, known: _Known) -> Target | None:
     """Roll and pitch against gravity: what the ground does not give, the strokes must."""
+    (roll, roll_rate), (pitch, pitch_rate) = _followable_ground(design, known)
     return _posed(
-        design,
-        command,
-        command.roll_rad - estimate.plate_roll_rad,
-        command.pitch_rad - estimate.plate_pitch_rad,
-        (-estimate.plate_roll_rate_radps, -estimate.plate_pitch_rate_radps),
+        design, command, command.roll_rad - roll, command.pitch_rad - pitch, (-roll_rate, -pitch_rate)
     )
 
 
-def _pose(design: ControllerDesign, command: Command, estimate: Estimate) -> Target | None:
+def _followable_ground(
+    design: ControllerDesign, known: _Known
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Angle and rate of the ground in roll and pitch; where it is too fast, of what can be followed of it."""
+    estimate = known.estimate
+    axes = [
+        (estimate.plate_roll_rad, estimate.plate_roll_rate_radps),
+        (estimate.plate_pitch_rad, estimate.plate_pitch_rate_radps),
+    ]
+    limits = design.leveling.turn_limits_radps
+    # Rates of two axes add on the actuators: each gets its share of what is asked.
+    demand = [
+        rhythm.amplitude_rad * rhythm.frequency_radps / limit if rhythm.trusted else 0.0
+        for rhythm, limit in zip(known.ground, limits, strict=True)
+    ]
+    total = sum(demand)
+    if total > 1.0:
+        for axis, rhythm in enumerate(known.ground):
+            limit = limits[axis] * demand[axis] / total
+            if limit > 0.0:
+                axes[axis] = followable(rhythm, limit, design.leveling.lag_s)
+    return axes[0], axes[1]
+
+
+def _pose(design: ControllerDesign, command: Command, known: _Known) -> Target | None:
     """Roll, pitch and ride height against the wheels."""
     return _posed(design, command, command.roll_rad, command.pitch_rad)
 
 
-def _stow(design: ControllerDesign, command: Command, estimate: Estimate) -> Target | None:
+def _stow(design: ControllerDesign, command: Command, known: _Known) -> Target | None:
     """All four strokes at the low end of the range in use."""
     return Target(Pose(0.0, 0.0, design.leveling.suspension.lift_low_mm))
 
@@ -177,7 +216,7 @@ def _posed(
 class _ModeRow:
     """What a mode aims at, and whether it takes roll and pitch from the command."""
 
-    target: Callable[[ControllerDesign, Command, Estimate], Target | None]
+    target: Callable[[ControllerDesign, Command, _Known], Target | None]
     has_attitude: bool
 
 

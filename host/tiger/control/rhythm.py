@@ -1,0 +1,145 @@
+"""A learned oscillator: what a periodic ground will do next, and which part of it the actuators can follow.
+
+Ground that rocks too fast for the actuators leaves the least residual when one starts to turn back before it
+does: a causal follower cannot know. One axis of the ground is modelled as centre + amplitude sin(phase) by a
+second-order generalised integrator with a frequency-locked loop (SOGI-FLL) and an offset state:
+
+    x' = w (y + k e),  y' = -w x,  c' = k_c w e,  w' = g w^2 e y / (x^2 + y^2),   e = ground - c - x
+
+Its first frequency comes from two turning points. It is trusted after some periods that it predicted well.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+_GAIN = 0.8
+_OFFSET_GAIN = 0.2
+_FREQUENCY_GAIN = 0.08
+_NO_POWER = 1e-6
+_MOST_PULL = 0.02
+"""Largest relative change of the frequency in one step."""
+_MISS_SHARE_OF_PHASE = 0.3
+"""Smoothing of the error: weight of a radian of phase."""
+_TURNING_RADPS = math.radians(0.3)
+"""Hysteresis of the ground's rate: turning points of less are noise."""
+_LOWEST_RADPS, _HIGHEST_RADPS = 2.0 * math.pi * 0.02, 2.0 * math.pi * 2.0
+_LEARNING_RAD = 3.5 * 2.0 * math.pi
+_MISS_SHARE = 0.15
+"""Largest RMS of the error, as a share of the amplitude, with which the oscillator is trusted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rhythm:
+    """State of one axis; angles in rad. `x` and `y` are amplitude times sine and cosine of the phase."""
+
+    x: float = 0.0
+    y: float = 0.0
+    centre: float = 0.0
+    frequency_radps: float = 0.0
+    learned_rad: float = 0.0
+    """Phase gone through since the frequency was last set from turning points."""
+    miss2: float = 0.0
+    """Smoothed square of the error."""
+    direction: int = 0
+    """Which way the ground last turned."""
+    half_period_s: float = 0.0
+    """Time since the last turning point."""
+    misfits: int = 0
+    """Half periods in a row that did not fit the frequency."""
+
+    @property
+    def amplitude_rad(self) -> float:
+        """Amplitude of the oscillation."""
+        return math.hypot(self.x, self.y)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether it has predicted well for long enough to act on."""
+        enough = self.learned_rad > _LEARNING_RAD and self.amplitude_rad > math.radians(0.2)
+        return enough and self.miss2 < (_MISS_SHARE * self.amplitude_rad) ** 2
+
+
+def learn(state: Rhythm, angle_rad: float, rate_radps: float, dt: float) -> Rhythm:
+    """Advance by `dt` with the ground's present angle and rate."""
+    state = _time_turning_points(state, angle_rad, rate_radps, dt)
+    w = state.frequency_radps
+    if w == 0.0:
+        return state
+    error = angle_rad - state.centre - state.x
+    # An exact rotation, then the corrections: Euler steps would let the amplitude grow.
+    cos, sin = math.cos(w * dt), math.sin(w * dt)
+    x = state.x * cos + state.y * sin + _GAIN * w * error * dt
+    y = state.y * cos - state.x * sin
+    pull = _FREQUENCY_GAIN * w * error * y / max(x * x + y * y, _NO_POWER) * dt
+    frequency = w * (1.0 + min(_MOST_PULL, max(-_MOST_PULL, pull)))
+    return Rhythm(
+        x,
+        y,
+        state.centre + _OFFSET_GAIN * w * error * dt,
+        min(_HIGHEST_RADPS, max(_LOWEST_RADPS, frequency)),
+        state.learned_rad + w * dt,
+        state.miss2 + min(1.0, _MISS_SHARE_OF_PHASE * w * dt) * (error * error - state.miss2),
+        state.direction,
+        state.half_period_s,
+        state.misfits,
+    )
+
+
+def _time_turning_points(state: Rhythm, angle_rad: float, rate_radps: float, dt: float) -> Rhythm:
+    """Measure half periods; set the frequency from the first, and again when two in a row do not fit it."""
+    direction = state.direction
+    if abs(rate_radps) > _TURNING_RADPS:
+        direction = 1 if rate_radps > 0.0 else -1
+    elapsed = state.half_period_s + dt
+    if direction == state.direction:
+        if elapsed > math.pi / _LOWEST_RADPS:  # the ground has stopped
+            return Rhythm(direction=direction, half_period_s=elapsed)
+        return replace(state, half_period_s=elapsed)
+    if state.direction == 0:
+        return Rhythm(direction=direction)
+    measured = min(_HIGHEST_RADPS, max(_LOWEST_RADPS, math.pi / elapsed))
+    known = state.frequency_radps
+    fits = known > 0.0 and 0.75 < measured / known < 1.33
+    if fits or (known > 0.0 and state.misfits == 0):
+        return replace(state, direction=direction, half_period_s=0.0, misfits=0 if fits else 1)
+    return Rhythm(centre=angle_rad, frequency_radps=measured, direction=direction)
+
+
+def followable(state: Rhythm, rate_limit_radps: float, lead_s: float) -> tuple[float, float]:
+    """Return angle now and rate `lead_s` from now of the rate-limited motion nearest to the ground (RMS).
+
+    By Pontryagin's principle it consists of arcs at the limit and arcs on the sine. By symmetry those at the
+    limit go through the centre: while the sine's top rate is below pi/2 of the limit they are its chords;
+    beyond that they join to a triangle in phase.
+    """
+    amplitude, w = state.amplitude_rad, state.frequency_radps
+    slope = rate_limit_radps / w
+    half = _chord(slope / amplitude)
+
+    def at(phase: float) -> tuple[float, float]:
+        folded = math.asin(math.sin(phase))
+        rising = 1.0 if math.cos(phase) >= 0.0 else -1.0
+        if abs(folded) < half:
+            return slope * folded, rising * rate_limit_radps
+        return amplitude * math.sin(folded), rising * amplitude * w * math.cos(folded)
+
+    phase = math.atan2(state.x, state.y)
+    return state.centre + at(phase)[0], at(phase + w * lead_s)[1]
+
+
+def _chord(share: float) -> float:
+    """Return the phase at which the line share * phase meets the sine, pi/2 when it does not before."""
+    if share >= 1.0:
+        return 0.0
+    if share <= 2.0 / math.pi:
+        return math.pi / 2.0
+    low, high = 1e-6, math.pi / 2.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        if math.sin(middle) > share * middle:
+            low = middle
+        else:
+            high = middle
+    return high
