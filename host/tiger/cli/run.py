@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from tiger.config.robot import RobotConfig
     from tiger.daemon.clock import Lateness
     from tiger.daemon.daemon import Daemon
@@ -311,15 +313,24 @@ def _run_emulated(
             return now.time_s, now.roll_deg, now.pitch_deg
 
         config = robot.model_copy(update={"ports": emulated.ports})
-        return _run_real_time(config, wishes, f"TIGER, emulated: {scenario.title}", truth)
+        return _run_real_time(config, wishes, f"TIGER, emulated: {scenario.title}", truth, emulated.begin)
 
 
 def _run_hardware(robot: RobotConfig, wishes: Wishes) -> tuple[Journal, Lateness]:
     return _run_real_time(robot, wishes, "TIGER", None)
 
 
-def _run_real_time(robot: RobotConfig, wishes: Wishes, title: str, truth: Any) -> tuple[Journal, Lateness]:
-    """Run the loop in this thread; `truth` returns (time_s, roll_deg, pitch_deg) of an emulated world."""
+def _run_real_time(
+    robot: RobotConfig,
+    wishes: Wishes,
+    title: str,
+    truth: Callable[[], tuple[float, float, float]] | None,
+    begin: Callable[[], None] = lambda: None,
+) -> tuple[Journal, Lateness]:
+    """Run the loop in this thread.
+
+    `truth` returns (time_s, roll_deg, pitch_deg) of an emulated world, whose time runs from `begin` on.
+    """
     from contextlib import nullcontext
 
     from tiger.cli.live import ScreenProcess, is_terminal
@@ -360,6 +371,7 @@ def _run_real_time(robot: RobotConfig, wishes: Wishes, title: str, truth: Any) -
                 return driver.press(screen.exchange(record, daemon.log_lines)) and not stop_asked
             return not stop_asked
 
+        begin()
         try:
             lateness = loop.run(daemon, clock, on_record, wishes.duration_s)
         finally:

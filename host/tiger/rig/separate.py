@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import tempfile
+import time
 from multiprocessing.sharedctypes import RawArray
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -41,9 +42,10 @@ class SeparateRobot:
         self._folder = tempfile.TemporaryDirectory(prefix="tiger-")
         self._truth: Any = RawArray("d", len(SeparateTruth._fields))
         self._ready = context.Event()
+        self._begin = context.Event()
         self._process = context.Process(
             target=_serve,
-            args=(vehicle, scenario, seed, self._folder.name, self._truth, self._ready),
+            args=(vehicle, scenario, seed, self._folder.name, self._truth, self._ready, self._begin),
             daemon=True,
         )
 
@@ -61,9 +63,16 @@ class SeparateRobot:
         """What the world really does."""
         return SeparateTruth(*self._truth)
 
+    def begin(self) -> None:
+        """Let its time run; until then its lines are there and silent."""
+        self._begin.set()
+
     def __enter__(self) -> SeparateRobot:
         self._process.start()
-        if not self._ready.wait(START_TIME_S):
+        deadline_s = time.monotonic() + START_TIME_S
+        while not self._ready.wait(0.1):
+            if self._process.is_alive() and time.monotonic() < deadline_s:
+                continue
             self.__exit__()
             raise RuntimeError("the emulated robot did not start; run `tiger emulate` to see why")
         return self
@@ -74,19 +83,21 @@ class SeparateRobot:
         self._folder.cleanup()
 
 
-def _serve(vehicle: VehicleConfig, scenario: str, seed: int, folder: str, truth: Any, ready: Event) -> None:
+def _serve(
+    vehicle: VehicleConfig, scenario: str, seed: int, folder: str, truth: Any, ready: Event, begin: Event
+) -> None:
     """Body of the process."""
     from tiger.emulation.robot import EmulatedRobot
     from tiger.emulation.scenarios import load_scenario
     from tiger.emulation.serve import PtyRobot
 
     def each_step(robot: EmulatedRobot) -> bool:
-        if not ready.is_set():
-            ready.set()
         now = robot.truth()
         truth[:] = (now.time_s, now.roll_deg, now.pitch_deg)
         return True
 
     robot = EmulatedRobot(vehicle, load_scenario(scenario), seed=seed)
     with contextlib.suppress(KeyboardInterrupt), PtyRobot(robot, Path(folder)) as served:
+        ready.set()
+        begin.wait()
         served.run(float("inf"), each_step)
