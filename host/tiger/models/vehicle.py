@@ -65,15 +65,15 @@ class Inputs:
     def __init__(self) -> None:
         """Nothing acts."""
         self.vector = np.zeros(kernel.INPUTS)
-        self.wheel_torque_nm = self.vector[kernel.TORQUE_AT : kernel.TORQUE_AT + 4]
-        self.wheel_speed_radps = self.vector[kernel.SPEED_AT : kernel.SPEED_AT + 4]
-        self.actuator_force_n = self.vector[kernel.FORCE_AT : kernel.FORCE_AT + 4]
-        self.lift_m = self.vector[kernel.LIFT_AT : kernel.LIFT_AT + 4]
-        self.lift_rate_mps = self.vector[kernel.LIFT_RATE_AT : kernel.LIFT_RATE_AT + 4]
-        self.body_force_n = self.vector[kernel.BODY_FORCE_AT : kernel.BODY_FORCE_AT + 3]
-        self.body_moment_nm = self.vector[kernel.BODY_MOMENT_AT : kernel.BODY_MOMENT_AT + 3]
-        self.post_m = self.vector[kernel.POST_AT : kernel.POST_AT + 4]
-        self.post_rate_mps = self.vector[kernel.POST_RATE_AT : kernel.POST_RATE_AT + 4]
+        self.wheel_torque_nm = self.vector[kernel.TORQUE]
+        self.wheel_speed_radps = self.vector[kernel.SPEED]
+        self.actuator_force_n = self.vector[kernel.FORCE]
+        self.lift_m = self.vector[kernel.LIFT]
+        self.lift_rate_mps = self.vector[kernel.LIFT_RATE]
+        self.body_force_n = self.vector[kernel.BODY_FORCE]
+        self.body_moment_nm = self.vector[kernel.BODY_MOMENT]
+        self.post_m = self.vector[kernel.POST]
+        self.post_rate_mps = self.vector[kernel.POST_RATE]
         self.wheel_speed_radps[:] = np.nan
 
 
@@ -125,27 +125,27 @@ class History:
     @property
     def position_m(self) -> Array:
         """COM in the world."""
-        return self.states[:, :3]
+        return self.states[:, kernel.POSITION]
 
     @property
     def attitude_rad(self) -> Array:
         """Roll, pitch, yaw."""
-        return euler_from_quaternion(self.states[:, 3:7])
+        return euler_from_quaternion(self.states[:, kernel.ATTITUDE])
 
     @property
     def velocity_mps(self) -> Array:
         """COM velocity U, V, W in body axes."""
-        return self.states[:, 7:10]
+        return self.states[:, kernel.VELOCITY]
 
     @property
     def rate_radps(self) -> Array:
         """Body rates p, q, r."""
-        return self.states[:, 10:13]
+        return self.states[:, kernel.RATE]
 
     @property
     def acceleration_mps2(self) -> Array:
         """Acceleration of the COM in body axes, gravity not included (V' + U r - W p in y)."""
-        return np.asarray(self.rates[:, 7:10] + np.cross(self.rate_radps, self.velocity_mps))
+        return np.asarray(self.rates[:, kernel.VELOCITY] + np.cross(self.rate_radps, self.velocity_mps))
 
     @property
     def wheel_load_n(self) -> Array:
@@ -177,7 +177,7 @@ class History:
     @property
     def corner_height_m(self) -> Array:
         """Rise of the body above each wheel since the first sample, (n, 4)."""
-        w, x, y, z = self.states[:, 3:7].T
+        w, x, y, z = self.states[:, kernel.ATTITUDE].T
         heights = (
             self.states[:, 2:3]
             + np.outer(2.0 * (x * z - y * w), self.half_diagonal_m[0])
@@ -225,15 +225,15 @@ class Vehicle:
         forward -= up * (forward @ up)
         forward /= np.linalg.norm(forward)
         state = np.zeros(kernel.STATES)
-        state[:3] = np.array([x_m, y_m, height]) + up * self.config.body.com_height_m
-        state[3:7] = _quaternion(np.stack([forward, np.cross(up, forward), up], axis=1))
+        state[kernel.POSITION] = np.array([x_m, y_m, height]) + up * self.config.body.com_height_m
+        state[kernel.ATTITUDE] = _quaternion(np.stack([forward, np.cross(up, forward), up], axis=1))
         return state
 
     def rolling(self, speed_mps: float, x_m: float = 0.0, y_m: float = 0.0, yaw_rad: float = 0.0) -> Array:
         """Return `at_rest` moving ahead at a speed, wheels rolling freely."""
         state = self.at_rest(x_m, y_m, yaw_rad)
-        state[kernel.VELOCITY_AT] = speed_mps
-        state[kernel.SPIN_AT : kernel.SPIN_AT + 4] = speed_mps / self.config.tire.rolling_radius_m
+        state[kernel.VELOCITY.start] = speed_mps
+        state[kernel.SPIN] = speed_mps / self.config.tire.rolling_radius_m
         return state
 
     def settle(self, state: Array, duration_s: float = 5.0, inputs: Inputs | None = None) -> Array:
@@ -242,7 +242,7 @@ class Vehicle:
         locked["spin_inertia"] = np.finfo(float).max ** 0.25
         held = Inputs() if inputs is None else inputs
         settled = state.copy()
-        settled[kernel.SPIN_AT : kernel.SPIN_AT + 4] = 0.0
+        settled[kernel.SPIN] = 0.0
         steps = round(duration_s / DEFAULT_STEP_S)
         kernel.advance(locked, *self._plant[1:], settled, held.vector, DEFAULT_STEP_S, steps, self._contact)
         return settled
@@ -278,26 +278,26 @@ class Vehicle:
         """Return what sensors see in `state` under `inputs`."""
         rate = self.rate(state, inputs)
         contact = self._contact.copy()
-        velocity, body_rate = state[7:10].copy(), state[10:13].copy()
-        angular = rate[10:13]
-        w, x, y, z = state[3:7]
+        velocity, body_rate = state[kernel.VELOCITY].copy(), state[kernel.RATE].copy()
+        angular = rate[kernel.RATE]
+        w, x, y, z = state[kernel.ATTITUDE]
         up = np.array([2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)])
-        at_com = rate[7:10] + _cross(body_rate, velocity) + GRAVITY_MPS2 * up
+        at_com = rate[kernel.VELOCITY] + _cross(body_rate, velocity) + GRAVITY_MPS2 * up
         lever = _cross(angular, self._imu) + _cross(body_rate, _cross(body_rate, self._imu))
         return Readings(
-            position_m=state[:3].copy(),
-            quaternion=state[3:7].copy(),
+            position_m=state[kernel.POSITION].copy(),
+            quaternion=state[kernel.ATTITUDE].copy(),
             velocity_mps=velocity,
             rate_radps=body_rate,
             angular_acceleration_radps2=angular,
             specific_force_mps2=at_com + lever,
-            wheel_speed_radps=state[21:25] - body_rate[1],
+            wheel_speed_radps=state[kernel.SPIN] - body_rate[1],
             wheel_load_n=contact[:, kernel.LOAD_AT],
             wheel_force_n=contact[:, kernel.FX_AT : kernel.FY_AT + 1].T,
             wheel_torque_nm=contact[:, kernel.DRIVE_TORQUE_AT],
             strut_force_n=contact[:, kernel.STRUT_FORCE_AT],
-            strut_compression_m=state[13:17].copy(),
-            slip=state[25:33].reshape(2, 4).copy(),
+            strut_compression_m=state[kernel.STRUT].copy(),
+            slip=state[kernel.SLIP].reshape(2, 4).copy(),
             sinkage_m=contact[:, kernel.SINKAGE_AT],
         )
 
@@ -336,19 +336,22 @@ class Vehicle:
     def energy(self, state: Array) -> float:
         """Return kinetic, gravity, spring and tyre energy in J: level road, seats not lifted, no posts."""
         v = self._vehicle[0]
-        rotation = _rotation(state[3:7])
-        velocity, rate = state[7:10], state[10:13]
+        rotation = _rotation(state[kernel.ATTITUDE])
+        velocity, rate = state[kernel.VELOCITY], state[kernel.RATE]
         inertia = np.array([v["roll_inertia"], v["pitch_inertia"], v["yaw_inertia"]])
         energy = 0.5 * v["mass"] * velocity @ velocity + 0.5 * inertia @ rate**2
         energy += v["mass"] * v["gravity"] * state[2]
         for i in range(4):
-            place = np.array([v["x"][i], v["y"][i], v["wheel_height"] + state[13 + i]])
-            speed = velocity + np.cross(rate, place) + [0.0, 0.0, state[17 + i]]
+            place = np.array([v["x"][i], v["y"][i], v["wheel_height"] + state[kernel.STRUT_AT + i]])
+            speed = velocity + np.cross(rate, place) + [0.0, 0.0, state[kernel.STRUT_RATE_AT + i]]
             height = state[2] + rotation[2] @ place
             squeeze = max(0.0, v["free_radius"][i] - height)
             energy += 0.5 * v["wheel_mass"][i] * speed @ speed + v["wheel_mass"][i] * v["gravity"] * height
-            energy += 0.5 * v["spin_inertia"] * state[21 + i] ** 2
-            energy += v["preload"][i] * state[13 + i] + 0.5 * v["spring"][i] * state[13 + i] ** 2
+            energy += 0.5 * v["spin_inertia"] * state[kernel.SPIN_AT + i] ** 2
+            energy += (
+                v["preload"][i] * state[kernel.STRUT_AT + i]
+                + 0.5 * v["spring"][i] * state[kernel.STRUT_AT + i] ** 2
+            )
             energy += 0.5 * v["tire_stiffness"] * squeeze**2
         return float(energy)
 

@@ -30,12 +30,15 @@ from tiger.models.tire import contact_forces, contact_slip_rates
 
 Array = NDArray[np.float64]
 
-POSITION_AT, ATTITUDE_AT, VELOCITY_AT, RATE_AT = 0, 3, 7, 10
+# Where what is in a state, for people; compiled code counts from the first of four wheels.
+POSITION, ATTITUDE, VELOCITY, RATE = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
+STRUT, STRUT_RATE, SPIN, SLIP = slice(13, 17), slice(17, 21), slice(21, 25), slice(25, 33)
 STRUT_AT, STRUT_RATE_AT, SPIN_AT, KAPPA_AT, ALPHA_AT = 13, 17, 21, 25, 29
 STATES = 33
 
-TORQUE_AT, SPEED_AT, FORCE_AT, LIFT_AT, LIFT_RATE_AT, BODY_FORCE_AT, BODY_MOMENT_AT = 0, 4, 8, 12, 16, 20, 23
-POST_AT, POST_RATE_AT = 26, 30
+TORQUE, SPEED, FORCE, LIFT, LIFT_RATE = (slice(k, k + 4) for k in range(0, 20, 4))
+BODY_FORCE, BODY_MOMENT, POST, POST_RATE = slice(20, 23), slice(23, 26), slice(26, 30), slice(30, 34)
+TORQUE_AT, SPEED_AT, FORCE_AT, LIFT_AT, LIFT_RATE_AT, POST_AT, POST_RATE_AT = 0, 4, 8, 12, 16, 26, 30
 INPUTS = 34
 
 LOAD_AT, FX_AT, FY_AT, STRUT_FORCE_AT, DRIVE_TORQUE_AT, GROUND_AT, SINKAGE_AT = range(7)
@@ -212,8 +215,9 @@ def derivative(
         out[STRUT_AT + i] = strut_rate
         out[STRUT_RATE_AT + i] = (qbz - strut_force) / m + gz - bias_z - r * spin_about + rate2 * z
 
-        contact[i, 0], contact[i, 1], contact[i, 2], contact[i, 3] = load, tire_fx, tire_fy, strut_force
-        contact[i, 4], contact[i, 5], contact[i, 6] = torque, height, sinkage
+        contact[i, LOAD_AT], contact[i, FX_AT], contact[i, FY_AT] = load, tire_fx, tire_fy
+        contact[i, STRUT_FORCE_AT], contact[i, DRIVE_TORQUE_AT] = strut_force, torque
+        contact[i, GROUND_AT], contact[i, SINKAGE_AT] = height, sinkage
 
     # Carriers couple the sideways and angular accelerations: eliminate U', V', then p', q', then r'.
     pp = v.roll_inertia + szz - sz * sz / mass

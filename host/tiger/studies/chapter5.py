@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tiger.config.vehicle import load_vehicle
 from tiger.models.full_car import GRAVITY_MPS2
 from tiger.models.vehicle import Inputs
-from tiger.models.vehicle_kernel import VELOCITY_AT
+from tiger.models.vehicle_kernel import VELOCITY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -65,7 +65,7 @@ class SpeedHold:
 
     def act(self, state: Array, inputs: Inputs) -> None:
         """Set the four wheel torques for the next control period."""
-        error = self._speed - state[VELOCITY_AT]
+        error = self._speed - state[VELOCITY.start]
         self._integral += error * CONTROL_PERIOD_S
         wanted = self._gain * error + self._integral_gain * self._integral + self._drag
         inputs.wheel_torque_nm[:] = self._torque_per_acceleration * wanted

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiger.config.vehicle import load_vehicle
+from tiger.models import vehicle_kernel as kernel
 from tiger.models.terrain import Terrain
 from tiger.models.vehicle import History, Inputs, Vehicle, euler_from_quaternion
 from tiger.studies.chapter5 import (
@@ -89,8 +90,8 @@ def run(
         for name in ("roll, RMS", "pitch, RMS", "load transfer, peak", "path deviation, peak")
         for case in CASES[1:]
     ]
-    rows.append(Row("actuator force, peak, active", peak(inputs["active"][:, 8:12]), "N"))
-    rows.append(Row("spring seat lift, peak, eam", 1e3 * peak(inputs["eam"][:, 12:16]), "mm"))
+    rows.append(Row("actuator force, peak, active", peak(inputs["active"][:, kernel.FORCE]), "N"))
+    rows.append(Row("spring seat lift, peak, eam", 1e3 * peak(inputs["eam"][:, kernel.LIFT]), "mm"))
     series: dict[str, Array] = {"time_s": histories["passive"].time_s[:-1]}
     for case in CASES:
         series.update({f"{name}_{case}": v for name, v in _series(histories[case], inputs[case]).items()})
@@ -198,10 +199,10 @@ class AttitudeForces:
     def wanted(self, state: Array) -> Array:
         """Forces (4,) before the limit."""
         damper = (1.0 - self.damper_share_kept) * self._damper
-        passive = self._spring * state[13:17] + damper * state[17:21]
-        attitude = euler_from_quaternion(state[3:7])[:2]
+        passive = self._spring * state[kernel.STRUT] + damper * state[kernel.STRUT_RATE]
+        attitude = euler_from_quaternion(state[kernel.ATTITUDE])[:2]
         omega = 2.0 * np.pi * self.bandwidth_hz
-        moments = -self._inertia * (omega**2 * attitude + 2.0 * omega * state[10:12])
+        moments = -self._inertia * (omega**2 * attitude + 2.0 * omega * state[kernel.RATE][:2])
         return np.asarray(passive.mean() - passive + self._lever @ moments)
 
     def act(self, state: Array, inputs: Inputs) -> None:
@@ -284,6 +285,6 @@ def _series(history: History, inputs: Array) -> dict[str, Array]:
         "pitch_deg": angles[:, 1],
         "yaw_rate_degps": np.degrees(history.rate_radps[:-1, 2]),
         "heave_m": history.position_m[:-1, 2] - history.position_m[0, 2],
-        "force_fl_n": inputs[:, 8],
-        "lift_fl_mm": 1e3 * inputs[:, 12],
+        "force_fl_n": inputs[:, kernel.FORCE_AT],
+        "lift_fl_mm": 1e3 * inputs[:, kernel.LIFT_AT],
     }

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tiger.models.full_car import GRAVITY_MPS2
 from tiger.models.vehicle import Inputs, Vehicle
-from tiger.models.vehicle_kernel import BODY_MOMENT_AT, RATE_AT, VELOCITY_AT
+from tiger.models.vehicle_kernel import BODY_MOMENT, RATE, VELOCITY
 from tiger.studies.chapter5 import ASSUMPTIONS, KMH_TO_MPS, drive, load_car, peak, save_panels
 from tiger.studies.report import Report, Row
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_FORWARD_SPEED, _YAW_RATE = VELOCITY_AT, RATE_AT + 2
+_FORWARD_SPEED, _YAW_RATE = VELOCITY.start, RATE.stop - 1
 _HOLD_PER_S = 20.0
 
 
@@ -62,7 +62,7 @@ def run(
     lateral = history.acceleration_mps2[:-1, 1]
     roll = np.degrees(history.attitude_rad[:-1, 0])
     transfer = history.load_transfer[:-1]
-    moment = table[:, BODY_MOMENT_AT + 2]
+    moment = table[:, BODY_MOMENT][:, 2]
     steady = time >= time[-1] - 2.0 * period
     fit = _Sinusoid(time[steady], frequency)
     lateral_amplitude, lateral_phase = fit(lateral[steady])
