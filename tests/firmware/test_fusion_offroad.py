@@ -1,8 +1,8 @@
 """The attitude filter on a synthetic off-road vehicle, with and without the wheels' help.
 
 Truth at 1 kHz, sensors at 100 Hz. The body follows its terrain and moves on its suspension; the velocity is
-along the terrain, not along the body, so the aiding model is not the one that made the data. The accelerometer
-is calibrated (offset 0.05 m/s2 at most), the gyroscope is not. Scored after the first minute.
+along the terrain, not along the body, so the aiding model is not the one that made the data. The
+accelerometer is calibrated (offset 0.05 m/s2 at most), the gyroscope is not. Scored after the first minute.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-
 from tiger.native._core import lib
+
 from tiger.native.boards import ImuBoard
 from tiger.protocol.messages import (
     PARAMS,
@@ -102,7 +103,7 @@ class Nano:
             return
         self._felt = (body, world)
         rate = (self.turn(t - dt).inv() * self.turn(t + dt)).as_rotvec() / (2 * dt)
-        force = body.inv().apply(self.accel_mps2 + [0, 0, GRAVITY]) + self.accel_offset
+        force = body.inv().apply(self.accel_mps2 + np.array([0, 0, GRAVITY])) + self.accel_offset
         field = body.inv().apply(FIELD_UT)
         self.board.set_inputs(force.tolist(), (rate + self.gyro_bias).tolist(), field.tolist())
 
@@ -139,7 +140,7 @@ class Nano:
     def largest_step_deg(self, since_ms: int) -> float:
         """Largest change of attitude from one message to the next."""
         attitudes = [attitude_of(message) for message in self.all(ImuAttitude, since_ms)]
-        return max(turned_deg(a, b) for a, b in zip(attitudes, attitudes[1:], strict=False))
+        return max(turned_deg(a, b) for a, b in pairwise(attitudes))
 
 
 @pytest.fixture

@@ -15,9 +15,9 @@ namespace tiger {
 namespace fusion {
 
 struct AidingTuning {
-  float speed_tau_s = 0.1125f;  // corner 2 Hz: wheel speed is noisy, and its derivative more so
-  float coast_s = 5.0f;         // slipping: so long without the accelerometer
-  float standing_mps = 0.02f;   // below it the body may be at rest
+  float speed_tau_s = 0.05f;   // corner 4.5 Hz; the averaging of the filter does the rest
+  float coast_s = 5.0f;        // slipping: so long without the accelerometer
+  float standing_mps = 0.02f;  // below it the body may be at rest
 };
 
 struct AidingGains {
