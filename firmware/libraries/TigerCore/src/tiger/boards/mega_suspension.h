@@ -259,10 +259,16 @@ class MegaSuspension : public BoardHooks {
   void slewed_setpoints(int16_t rates[kCorners]) {
     for (uint8_t i = 0; i < kCorners; ++i) {
       const int16_t target = neutral_seen_ ? clamp16(setpoint_[i], full_speed_) : int16_t{0};
-      slewed_[i] =
-          static_cast<int16_t>(slewed_[i] + clamp16(minus(target, slewed_[i]), suspension::kSlewPerTick));
+      slewed_[i] = slew(slewed_[i], target);
       rates[i] = slewed_[i];
     }
+  }
+
+  // A rate grows step by step; it falls, stops and turns at once.
+  static int16_t slew(int16_t from, int16_t to) {
+    const bool same_way = (from > 0 && to > 0) || (from < 0 && to < 0);
+    const int16_t start = !same_way ? int16_t{0} : magnitude(to) < magnitude(from) ? to : from;
+    return static_cast<int16_t>(start + clamp16(minus(to, start), suspension::kSlewPerTick));
   }
 
   void outputs_off() {

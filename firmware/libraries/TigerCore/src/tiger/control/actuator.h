@@ -81,7 +81,10 @@ class Actuator {
   // Follows a stroke rate; the duty to drive with.
   int16_t follow(int16_t rate) {
     const int32_t stop_point = observer_.stop_point();
-    if (rate_limited_) position_loop_.forgive(rate, stop_point);
+    // A lag that could not be made up is forgiven as soon as the command no longer asks for it.
+    const bool is_new = (rate > 0) != (last_rate_ > 0) || (rate < 0) != (last_rate_ < 0);
+    last_rate_ = rate;
+    if (is_new && rate_limited_ && position_loop_.turns_from(rate, stop_point)) take_over();
     const int16_t moved = position_loop_.advance(rate, limits_.low, limits_.high);
     stroke_limited_ = moved != rate;
     rate_limited_ = position_loop_.hold_leash(stop_point);
@@ -153,6 +156,7 @@ class Actuator {
   Thermal thermal_;
   Limits limits_ = {};
   int32_t reading_ = 0;
+  int16_t last_rate_ = 0;
   int16_t drive_ = 0;  // of the past tick: the rate it settles at
   int16_t duty_permille_ = 0;
   wire::Fault fault_ = wire::Fault::kNone;  // of the reading

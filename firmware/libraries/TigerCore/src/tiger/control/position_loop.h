@@ -20,10 +20,10 @@ class PositionLoop {
     correcting_ = false;
   }
 
-  // A lag that could not be made up is forgiven as soon as the command turns away from it.
-  void forgive(int16_t rate, int32_t stop_point) {
+  // A command that stops, or turns away from the lag.
+  bool turns_from(int16_t rate, int32_t stop_point) const {
     const int32_t lag = reference_ - stop_point;
-    if ((rate > 0 && lag < 0) || (rate < 0 && lag > 0)) start(stop_point);
+    return (rate >= 0 && lag < 0) || (rate <= 0 && lag > 0);
   }
 
   // Moves the reference by a commanded rate, no farther than the soft limits (inwards from beyond them is fine).
@@ -50,7 +50,8 @@ class PositionLoop {
   int16_t step(int16_t rate, int32_t stop_point) {
     const int32_t error = reference_ - stop_point;
     const int32_t size = magnitude(error);
-    if (size > (rate != 0 ? kWakeMoving : kWakeResting)) correcting_ = true;
+    const bool helps = (rate > 0 && error > 0) || (rate < 0 && error < 0);
+    if (size > (helps ? kWakeMoving : kWakeResting)) correcting_ = true;
     if (size < kSleep) correcting_ = false;
     if (!correcting_) return rate;
     const int32_t push = (error >> kGainShift) + (error > 0 ? kBreakaway : -kBreakaway);
@@ -62,8 +63,8 @@ class PositionLoop {
   bool correcting() const { return correcting_; }
 
  private:
-  static constexpr uint8_t kGainShift = 3;  // 12.5 1/s
-  static constexpr int32_t kWakeMoving = 6 * kUnitsPerMm / 100;
+  static constexpr uint8_t kGainShift = 3;                       // 12.5 1/s
+  static constexpr int32_t kWakeMoving = 6 * kUnitsPerMm / 100;  // lagging behind the command
   static constexpr int32_t kWakeResting = 12 * kUnitsPerMm / 100;
   static constexpr int32_t kSleep = 3 * kUnitsPerMm / 100;
   static constexpr int16_t kBreakaway = 2000;  // um/s of drive, a fifth of it: stiction

@@ -44,7 +44,7 @@ class RateLoop {
   int32_t integral() const { return integral_; }
 
  private:
-  // Back-calculation: what saturation cuts off is taken out of the integral, as far as the integral is to blame.
+  // Back-calculation: what saturation cuts off is taken out of the integral, as far as that is to blame for it.
   void take_back(int32_t excess) {
     const int32_t left = integral_ - (excess << kBackShift);
     if (excess > 0 && integral_ > 0) integral_ = left > 0 ? left : 0;

@@ -17,7 +17,7 @@ class SyncMove {
       const int32_t way = magnitude(to[i] - from[i]);
       if (way > left_) left_ = way;
     }
-    if (left_ == 0) return;
+    running_ = left_ != 0;
     for (uint8_t i = 0; i < kCorners; ++i) {
       // Shares of the longest way, Q15: both lengths lose eight bits first to stay within 32.
       const int32_t way = (to[i] - from[i]) >> 8;
@@ -25,8 +25,8 @@ class SyncMove {
     }
   }
 
-  void cancel() { left_ = 0; }
-  bool running() const { return left_ != 0; }
+  void cancel() { running_ = false; }
+  bool running() const { return running_; }
 
   // Rates of this tick. `lag`: the largest error of a position loop.
   void step(const int32_t reference[kCorners], int16_t full_speed, int32_t lag, int16_t rates[kCorners]) {
@@ -34,20 +34,24 @@ class SyncMove {
     if (lag > kLagFree) way -= (lag - kLagFree) >> 1;
     if (way < 0) way = 0;
     const bool arrives = way >= left_;
+    left_ = arrives ? 0 : left_ - way;
+    running_ = !arrives;
     for (uint8_t i = 0; i < kCorners; ++i) {
       const int32_t rest = target_[i] - reference[i];
       const int16_t part = static_cast<int16_t>((way * share_[i]) >> 15);
-      rates[i] = arrives || magnitude(rest) < magnitude(part) ? clamp16(saturate16(rest), full_speed) : part;
+      const bool is_last = arrives || magnitude(rest) < magnitude(part);
+      rates[i] = is_last ? static_cast<int16_t>(clamp32(rest, full_speed)) : part;
+      if (rates[i] != rest && is_last) running_ = true;  // a reference was held back on the way
     }
-    left_ = arrives ? 0 : left_ - way;
   }
 
  private:
-  static constexpr int32_t kLagFree = kUnitsPerMm / 10;
+  static constexpr int32_t kLagFree = 8 * kUnitsPerMm / 100;
 
   int32_t target_[kCorners] = {};
   int16_t share_[kCorners] = {};
   int32_t left_ = 0;  // of the longest way
+  bool running_ = false;
 };
 
 }  // namespace tiger
