@@ -103,22 +103,24 @@ def _corners(record: Record) -> Table:
 
 
 def _links(links: tuple[LinkStatus, ...]) -> Table:
-    table = Table(box=None, padding=(0, 2), header_style="dim")
-    headings = ("device", "state", "frames", "refused", "by board", "lost", "round trip", "clock", "supply")
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading in ("device", "state") else "right")
+    table = Table(box=None, padding=(0, 1), header_style="dim")
+    for heading in ("device", "state"):
+        table.add_column(heading, no_wrap=True)
+    for heading in ("frames", "refused", "lost", "trip ms", "drift ppm", "± µs", "V"):
+        table.add_column(heading, justify="right", no_wrap=True)
     for link in links:
-        timed = link.clock_sigma_us > 0.0
+        clock: tuple[str, ...] = ("", "", "")
+        if link.clock_sigma_us > 0.0:
+            clock = (f"{link.round_trip_ms:.1f}", f"{link.drift_ppm:+.0f}", f"{link.clock_sigma_us:.0f}")
+        refused = f"{link.rejects}+{link.board_rejects}" if link.board_rejects else str(link.rejects)
         table.add_row(
             link.name,
             Text(link.state, style="" if link.connected else "red"),
             str(link.rx_frames),
-            str(link.rejects),
-            str(link.board_rejects),
+            refused,
             str(link.seq_gaps),
-            f"{link.round_trip_ms:.1f} ms" if timed else "",
-            f"{link.drift_ppm:+.0f} ppm ± {link.clock_sigma_us:.0f} µs" if timed else "",
-            f"{link.supply_v:.1f} V" if link.supply_v else "",
+            *clock,
+            f"{link.supply_v:.1f}" if link.supply_v else "",
         )
     return table
 

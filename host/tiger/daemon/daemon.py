@@ -77,6 +77,7 @@ SPEED_RIGHT: Role = (BoardKind.MEGA_SPEED, 1)
 LIMITS_HZ = 50.0  # measurements held against their limits
 HOUSEKEEPING_HZ = 20.0  # ports opened, problems and link health gathered
 ARM_PATIENCE_S = 3.0  # how long a wish to arm lives
+SETTLING_S = 5.0  # after the start it is normal that something is not ready yet
 ARM_TIME_S = 1.0  # from ARM to every device reporting itself armed
 CLEAR_TIME_S = 1.0  # how long a wish to clear faults lives
 LOG_LINES = 20
@@ -108,6 +109,7 @@ class Daemon:
         paths = {"left": robot.ports.roboteq_left, "right": robot.ports.roboteq_right}
         self.drives = [Drive(side, path, ports, robot) for side, path in paths.items() if robot.drive.enabled]
         self._rest = limits.RestCheck(robot.safety)
+        self._resets: list[Problem] = []  # of boards, while armed
         self._calibration = RestCalibration()
         self._calibrating: list[Request] = []
         self._tick = 0
@@ -129,6 +131,8 @@ class Daemon:
         self._clear_until_s = -math.inf
         self._problems: tuple[Problem, ...] = ()
         self._refusal: Problem | None = None
+        self._waiting_for: Problem | None = None  # what keeps a wish to arm from coming true
+        self._start_s = now_s
         self._links: tuple[LinkStatus, ...] = ()
 
     # ----------------------------------------------------------------------------------- what a user asks for
@@ -232,6 +236,11 @@ class Daemon:
         self._housekeeping_due = True
         if isinstance(event, Rebooted):
             self._say(f"{event.session.name} was reset (cause {event.reply.reset_cause:#04x})")
+            if self.state is DaemonState.ARMED:
+                step = "Check its supply and its cable, then clear and arm again."
+                self._resets.append(
+                    Problem(ProblemKind.FAULT, event.session.name, "was reset while armed", step)
+                )
         elif isinstance(event, Identified):
             identity = event.session.identity
             version = ".".join(map(str, identity.fw_version)) if identity else "?"
@@ -292,6 +301,7 @@ class Daemon:
                 faults += limits.exceeded(self.robot.safety, inputs, self._estimate, is_armed=True)
             if self._wheel_check.problem is not None:
                 faults.append(self._wheel_check.problem)
+            faults += self._resets
             if faults:
                 self.latched = tuple(faults)
         boards_open = any(port.link is not None for port in self.boards.ports.values())
@@ -338,6 +348,8 @@ class Daemon:
         self.state, self.reason = state, reason
         self._housekeeping_due = True
         self._arm_request = None
+        self._waiting_for = None
+        self._resets.clear()
         if state is DaemonState.ARMED:
             self._arm_until_s = -math.inf
             self._wheel_check = WheelCheck()
@@ -381,6 +393,7 @@ class Daemon:
             obstacle = self._arm_devices(now_s)
         if obstacle is not None and now_s >= self._arm_until_s:
             self._refuse(obstacle)
+        self._waiting_for = obstacle
 
     def _obstacle(self, inputs: Inputs) -> Problem | None:
         """The first thing that keeps the robot from being armed."""
@@ -489,6 +502,8 @@ class Daemon:
             found += self._device_faults()
         if self._refusal is not None:
             found.append(self._refusal)
+        elif self._waiting_for is not None and now_s - self._start_s > SETTLING_S:
+            found.append(self._waiting_for)
         if self._low_battery() is not None:
             found.append(self._low_battery())  # type: ignore[arg-type]
         if self.state is DaemonState.DISARMED:
