@@ -9,6 +9,7 @@
 //   a TWI byte lasts 9 us whatever TWBR says -> 9 bits of TWBR
 //   the ADC scales by 1023                   -> avr_adc_code() gives the millivolts that read as the wanted code
 //   the watchdog only interrupts while the interrupt waits -> it resets at the second time-out, as the chip does
+//   an EEPROM write is done at once          -> EEPE stays set for 3.4 ms
 //   a reset keeps MCUSR at 0                 -> power-on and external reset set their bits
 #include <simavr/avr_adc.h>
 #include <simavr/avr_eeprom.h>
@@ -42,6 +43,11 @@ constexpr uint32_t kHz = 16000000;
 constexpr int kUarts = 2;
 constexpr int kVectors = 64;
 constexpr uint16_t kMcusr = 0x54;
+constexpr uint16_t kTwcr = 0xBC;
+constexpr uint8_t kTwsta = 0x20;
+constexpr uint16_t kEecr = 0x3F;
+constexpr uint8_t kEepe = 0x02;
+constexpr uint32_t kEepromWriteCycles = kHz / 10000 * 34;
 constexpr uint16_t kWdtcsr = 0x60;
 constexpr uint8_t kWdie = 0x40;
 constexpr uint16_t kTurnRegister = 0x3E;  // GPIOR0: a sketch writes it once per turn of its main loop
@@ -256,6 +262,17 @@ void turn_begins(avr_t* avr, avr_io_addr_t address, uint8_t value, void* param) 
   board.turn_at = avr->cycle;
 }
 
+avr_cycle_count_t eeprom_ready(avr_t* avr, avr_cycle_count_t, void*) {
+  avr->data[kEecr] &= static_cast<uint8_t>(~kEepe);
+  return 0;
+}
+
+void eeprom_control(avr_t* avr, avr_io_addr_t address, uint8_t value, void* param) {
+  if ((value & kEepe) == 0) return;
+  avr->data[address] |= kEepe;
+  avr_cycle_timer_register(avr, kEepromWriteCycles, eeprom_ready, param);
+}
+
 // ---------------------------------------------------------------------------------------------- watchdog and reset
 
 // One cycle before the second time-out: an interrupt that still waits gives way to the reset.
@@ -291,22 +308,22 @@ void board_resets(avr_t* avr) {
 
 // ----------------------------------------------------------------------------------------------------------- TWI
 
-// Moves simavr's pending TWI event to the time the bus really takes.
-avr_cycle_count_t twi_retime(avr_t* avr, avr_cycle_count_t, void* param) {
+// Called after simavr's own handler: moves the event it has put into its queue to the time the bus really takes.
+void twi_control(avr_t* avr, avr_io_addr_t, uint8_t value, void* param) {
   avr_board& board = *static_cast<avr_board*>(param);
   for (avr_cycle_timer_slot_p slot = avr->cycle_timers.timer; slot != nullptr; slot = slot->next) {
     if (slot->param != board.twi) continue;
     const uint8_t* data = avr->data;
-    uint64_t cycles = 9u * (16u + 2u * data[board.twi->r_twbr] * (1u << (2 * (data[board.twi->r_twsr] & 3))));
+    const uint32_t bit = 16u + 2u * data[board.twi->r_twbr] * (1u << (2 * (data[board.twi->r_twsr] & 3)));
+    uint64_t cycles = (value & kTwsta) != 0 ? bit : 9u * bit;
     if (board.twi_held_until > avr->cycle) cycles += board.twi_held_until - avr->cycle;
     if (board.device != nullptr && board.device->holds_bus()) {
       avr_cycle_timer_cancel(avr, slot->timer, slot->param);
     } else {
       avr_cycle_timer_register(avr, cycles, slot->timer, slot->param);
     }
-    break;
+    return;
   }
-  return 0;
 }
 
 void twi_message(avr_irq_t*, uint32_t value, void* param) {
@@ -314,7 +331,6 @@ void twi_message(avr_irq_t*, uint32_t value, void* param) {
   avr_twi_msg_irq_t message;
   message.u.v = value;
   const uint8_t what = message.u.twi.msg;
-  if ((what & TWI_COND_STOP) == 0) avr_cycle_timer_register(board.avr, 1, twi_retime, &board);
   if (board.device == nullptr || board.device->holds_bus()) return;
   const uint64_t now_us = board.avr->cycle / (kHz / 1000000);
   const auto acknowledge = [&](bool yes) {
@@ -427,6 +443,8 @@ avr_board* avr_board_new(const char* mcu, const char* elf_path) {
   }
   avr_irq_register_notify(board->watchdog->watchdog.irq + AVR_INT_IRQ_PENDING, watchdog_first, board);
   avr_register_io_write(avr, kTurnRegister, turn_begins, board);
+  avr_register_io_write(avr, kEecr, eeprom_control, board);
+  avr_register_io_write(avr, kTwcr, twi_control, board);
   board->core_reset = avr->reset;
   avr->reset = board_resets;
   avr_board_reset(board, 1);

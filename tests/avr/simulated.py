@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -199,6 +200,18 @@ class Board:
     def bus_clocks(self) -> int:
         """Clock pulses the program has made by hand to free the two-wire bus."""
         return int(_lib.avr_twi_clocks(self._board))
+
+
+def address_of(name: str, variable: str) -> int:
+    """Data address of a variable in an image, by a part of its symbol."""
+    listing = subprocess.run(
+        ["avr-nm", str(IMAGES / f"{name}.elf")], check=True, capture_output=True, text=True
+    ).stdout
+    for line in listing.splitlines():
+        address, _, symbol = line.partition(" ")
+        if variable in symbol:
+            return int(address, 16) & 0xFFFF
+    raise KeyError(f"{name} has no variable {variable}")
 
 
 def run(boards: Iterable[Board], ms: float) -> None:

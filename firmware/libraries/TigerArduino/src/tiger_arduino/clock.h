@@ -74,13 +74,12 @@ class Clock {
     return (overflows << 15) + (count >> 1);  // one overflow is 2^15 us, so this wraps at 2^32 as it should
   }
 
-  // Counts whole milliseconds of micros(), so that it wraps at 2^32 ms and not when micros() does.
+  // Counts whole milliseconds of micros(), so that it wraps at 2^32 ms and not when micros() does. Must be called
+  // at least once an hour: the feeding of the watchdog does.
   uint32_t millis() {
-    const uint32_t now_us = micros();
-    while (now_us - last_us_ >= 1000) {
-      last_us_ += 1000;
-      ++millis_;
-    }
+    const uint32_t whole_ms = (micros() - last_us_) / 1000;
+    last_us_ += whole_ms * 1000;
+    millis_ += whole_ms;
     return millis_;
   }
 

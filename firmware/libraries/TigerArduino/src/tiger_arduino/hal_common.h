@@ -31,7 +31,10 @@ class HalCommon {
   bool eeprom_ready() { return Eeprom::ready(); }
   void eeprom_write(uint16_t address, uint8_t value) { Eeprom::write(address, value); }
 
-  void watchdog_feed() { wdt_reset(); }
+  void watchdog_feed() {
+    wdt_reset();
+    board_clock.millis();
+  }
   uint8_t reset_cause() { return saved_mcusr; }
   FaultRecord& fault_record() { return arduino::fault_record; }
   uint16_t ram_free_bytes() { return stack_.free_bytes(); }
