@@ -2,8 +2,8 @@
 
 BROAD: D. Laidig, M. Caruso, A. Cereatti, T. Seel, Data 6(7):72, 2021, doi 10.3390/data6070072, CC BY 4.0. The
 trials are not part of the project: `TIGER_BROAD_DIR` names a folder of npz files with rate_hz, gyr_radps,
-acc_mps2, mag_uT, quat_wxyz (truth, NaN where it is missing) and movement. `vqf` is no dependency either; where
-it is not installed, `TIGER_VQF_DIR` may name the folder of `pip install --target FOLDER --no-deps vqf`.
+acc_mps2, mag_uT, quat_wxyz (truth, NaN where it is missing) and movement. `vqf` is no dependency either;
+where it is not installed, `TIGER_VQF_DIR` may name the folder of `pip install --target FOLDER --no-deps vqf`.
 """
 
 from __future__ import annotations
