@@ -1,0 +1,270 @@
+"""The Roboteq driver against the emulated controller: no wrong value, no resumed speed, no wait."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tiger.devices.roboteq import (
+    FaultFlag,
+    MotorFlag,
+    Phase,
+    StatusFlag,
+    decode_flags,
+)
+from tiger.devices.roboteq import Roboteq as Driver
+from tiger.emulation.cable import LineNoise
+from tiger.emulation.roboteq import Roboteq as Controller
+from tiger.record import ProblemKind
+
+WATCHDOG_MS = 150
+
+
+@dataclass
+class Bench:
+    """Driver and controller on one line, a millisecond at a time."""
+
+    controller: Controller = field(default_factory=Controller)
+    piece: int = 1000  # most bytes that reach the driver in a millisecond
+    fastest_rpm: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.driver = Driver("roboteq (left)", "/dev/left", WATCHDOG_MS, 50.0)
+        self.driver.connected(0.0)
+        self.now_ms = 0
+        self.cut = False
+        self.sent: list[bytes] = []
+        self._waiting = b""
+
+    def run(self, ms: int, command: tuple[float, float] | None = None) -> None:
+        for _ in range(ms):
+            self.now_ms += 1
+            now_s = self.now_ms * 1e-3
+            self.controller.run(1000)
+            self.controller.feedback(self.controller.motor_rpm, (1.5, 2.5))
+            self.fastest_rpm = max(self.fastest_rpm, *map(abs, self.controller.motor_rpm))
+            self._waiting += self.controller.transmit()
+            if self.cut:
+                self._waiting = b""
+                continue
+            data, self._waiting = self._waiting[: self.piece], self._waiting[self.piece :]
+            self.driver.feed(data, now_s)
+            if command is not None and self.now_ms % 5 == 0:
+                self.driver.command(*command)
+            out = self.driver.outgoing(now_s)
+            if out:
+                self.sent.append(out)
+                self.controller.receive(out)
+
+    def started(self) -> Bench:
+        self.run(400)
+        assert self.driver.release()
+        return self
+
+
+def test_it_configures_zeroes_and_holds_before_anything_else() -> None:
+    bench = Bench()
+    bench.run(400)
+    assert bench.driver.phase is Phase.HOLDING
+    assert bench.sent[:4] == [b"\r^ECHOF 0\r", b"^RWD 150\r", b"~RWD\r", b"!S 1 0\r!S 2 0\r"]
+    assert bench.driver.ready
+
+
+def test_nothing_but_zero_is_sent_before_release() -> None:
+    bench = Bench()
+    bench.run(1000, command=(100.0, 100.0))
+    speeds = {line for out in bench.sent for line in out.split(b"\r") if line.startswith(b"!S")}
+    assert speeds == {b"!S 1 0", b"!S 2 0"}
+    assert bench.fastest_rpm == 0.0
+
+
+def test_a_released_drive_follows_its_two_commands() -> None:
+    bench = Bench().started()
+    bench.run(500, command=(120.4, -80.6))
+    assert bench.controller.motor_rpm == (120.0, -81.0)
+    sample = bench.driver.sample
+    assert sample is not None
+    assert sample.wheel_rpm == (120.0, -81.0)
+    assert sample.motor_current_a == (1.5, 2.5)
+    assert sample.battery_v == 24.0
+    assert sample.controller_temperature_celsius == 32.0
+
+
+def test_commands_are_refreshed_at_50_hz_and_speeds_read_as_often() -> None:
+    bench = Bench().started()
+    before = len([out for out in bench.sent if out.startswith(b"!S")])
+    queries = len([out for out in bench.sent if out == b"?S\r"])
+    bench.run(1000, command=(10.0, 10.0))
+    assert len([out for out in bench.sent if out.startswith(b"!S")]) - before == pytest.approx(50, abs=1)
+    assert len([out for out in bench.sent if out == b"?S\r"]) - queries == pytest.approx(50, abs=1)
+
+
+def test_hold_stops_the_motors() -> None:
+    bench = Bench().started()
+    bench.run(500, command=(100.0, 100.0))
+    bench.driver.hold()
+    bench.run(200, command=(100.0, 100.0))
+    assert bench.controller.motor_rpm == (0.0, 0.0)
+    assert bench.driver.phase is Phase.HOLDING
+
+
+def test_after_a_gap_the_old_speed_does_not_come_back() -> None:
+    bench = Bench().started()
+    bench.run(1000, command=(200.0, -200.0))
+    bench.cut = True
+    bench.run(600)
+    assert bench.controller.watchdog_expired
+    assert bench.controller.motor_rpm == (0.0, 0.0)
+    bench.cut, bench.fastest_rpm = False, 0.0
+    bench.run(600, command=(200.0, -200.0))
+    assert bench.fastest_rpm < 5.0  # the controller resumes both speeds until the second zero has arrived
+    assert bench.controller.motor_rpm == (0.0, 0.0)
+    assert bench.driver.phase is Phase.HOLDING
+    assert bench.driver.gaps == 1
+
+
+def test_a_new_daemon_on_a_controller_with_a_standing_speed_begins_with_zeros() -> None:
+    controller = Controller()
+    controller.receive(b"^RWD 150\r!S 1 300\r!S 2 300\r")
+    controller.run(1_000_000)
+    bench = Bench(controller)
+    bench.run(600)
+    assert bench.fastest_rpm < 5.0
+    assert bench.driver.ready
+
+
+def test_a_controller_that_lost_power_is_configured_again() -> None:
+    bench = Bench().started()
+    bench.run(100, command=(50.0, 50.0))
+    bench.controller.silent = bench.controller.deaf = True
+    bench.run(300)
+    bench.controller.silent = bench.controller.deaf = False
+    bench.controller.reboot()
+    bench.sent.clear()
+    bench.run(600)
+    assert b"^RWD 150\r" in bench.sent
+    assert bench.driver.ready
+
+
+def test_a_watchdog_that_cannot_be_set_is_a_problem() -> None:
+    bench = Bench()
+    bench.controller._set = lambda name, numbers: "+"  # type: ignore[method-assign]
+    bench.run(2000)
+    assert bench.driver.problem is not None
+    assert "keeps its watchdog at 1000 ms instead of 150 ms" in str(bench.driver.problem)
+    assert not bench.driver.ready
+
+
+def test_a_silent_controller_is_named_after_a_second() -> None:
+    bench = Bench()
+    bench.controller.silent = True
+    bench.run(900)
+    assert bench.driver.problem is None
+    bench.run(400)
+    assert bench.driver.problem is not None
+    assert bench.driver.problem.kind is ProblemKind.NO_ANSWER
+    assert "roboteq (left) on /dev/left: does not answer" in str(bench.driver.problem)
+
+
+def test_a_wrong_echo_is_answered_by_the_right_command_at_once() -> None:
+    bench = Bench().started()
+    bench.run(200, command=(10.0, 10.0))
+    # What the controller understood was another speed.
+    bench.driver.feed(b"", 0.0)
+    while not bench.sent[-1].startswith(b"!S"):
+        bench.run(1, command=(10.0, 10.0))
+    count = len(bench.sent)
+    bench.driver.feed(b"!S 1 90\r", bench.now_ms * 1e-3)
+    out = bench.driver.outgoing(bench.now_ms * 1e-3)
+    assert out == b"!S 1 10\r!S 2 10\r"
+    assert bench.driver.wrong_echoes == 1
+    assert len(bench.sent) == count
+
+
+def test_emergency_stop_and_its_release_leave_the_motors_at_zero() -> None:
+    bench = Bench().started()
+    bench.run(500, command=(100.0, 100.0))
+    bench.driver.emergency_stop()
+    bench.run(300, command=(100.0, 100.0))
+    assert bench.controller.motor_rpm == (0.0, 0.0)
+    assert bench.driver.flags["FF"] & FaultFlag.EMERGENCY_STOP
+    assert bench.driver.phase is Phase.STOPPED
+    bench.driver.clear_stop()
+    bench.fastest_rpm = 0.0
+    bench.run(500, command=(100.0, 100.0))
+    assert bench.fastest_rpm == 0.0
+    assert not bench.driver.flags["FF"]
+    assert bench.driver.release()
+
+
+def test_a_flag_is_believed_when_read_twice() -> None:
+    bench = Bench().started()
+    bench.controller.fault_flags = int(FaultFlag.UNDERVOLTAGE | FaultFlag.SHORT_CIRCUIT)
+    bench.run(300, command=(0.0, 0.0))
+    assert bench.driver.flags["FF"] == 12
+
+
+@settings(max_examples=15, deadline=None)
+@given(piece=st.integers(3, 12), seed=st.integers(0, 1000))
+def test_every_value_is_right_in_whatever_pieces_it_comes(piece: int, seed: int) -> None:
+    bench = Bench(Controller(seed=seed), piece=piece)
+    bench.run(800)
+    if bench.driver.release():
+        bench.run(400, command=(37.0, -41.0))
+        assert bench.controller.motor_rpm in {(37.0, -41.0), (0.0, 0.0)}
+        sample = bench.driver.sample
+        assert sample is None or sample.wheel_rpm[0] in {float(rpm) for rpm in range(38)}
+    assert bench.driver.wrong_echoes == 0
+
+
+@pytest.mark.parametrize("rate", [1e-3, 5e-3])
+def test_a_noisy_line_moves_nothing_wrongly(rate: float) -> None:
+    bench = Bench(Controller(noise=LineNoise.everything(rate), seed=4))
+    for _ in range(40):
+        bench.run(100)
+        if bench.driver.release():
+            break
+    worst = 0.0
+    for _ in range(300):
+        bench.run(20, command=(60.0, 60.0))
+        sample = bench.driver.sample
+        if sample is not None:
+            worst = max(worst, *map(abs, sample.wheel_rpm))
+    assert bench.fastest_rpm <= 60.0
+    assert worst <= 60.0 + 150.0  # a damaged digit may pass, never by more than the plausible step
+
+
+def test_unasked_lines_and_garbage_are_counted_and_ignored() -> None:
+    bench = Bench().started()
+    bench.run(100, command=(5.0, 5.0))
+    exchanges = bench.driver.exchanges
+    bench.driver.feed(b"W\rOK\r\xff\xfe\rS=1\rS=1:2:3\rS=99999999:1\r" + b"x" * 300 + b"\r", 0.5)
+    assert bench.driver.garbled >= 6
+    bench.run(200, command=(5.0, 5.0))
+    assert bench.driver.exchanges > exchanges
+    assert bench.driver.phase is Phase.RUNNING
+
+
+@pytest.mark.parametrize(
+    ("flags", "kind", "names"),
+    [
+        (0, FaultFlag, []),
+        (1 | 64, FaultFlag, ["overheat", "mosfet"]),
+        (1 << 9, FaultFlag, ["bit 9"]),
+        (1 | 8, StatusFlag, ["serial mode", "power stage off"]),
+        (2 | 4, MotorFlag, ["stalled", "loop error"]),
+    ],
+)
+def test_flags_are_named_and_unknown_bits_numbered(flags: int, kind: type, names: list[str]) -> None:
+    assert decode_flags(flags, kind) == names
+
+
+@pytest.mark.parametrize(("rpm", "sent"), [(float("nan"), b"0"), (1e9, b"65000"), (-1e9, b"-65000")])
+def test_no_command_leaves_the_grammar(rpm: float, sent: bytes) -> None:
+    bench = Bench().started()
+    bench.sent.clear()
+    bench.run(60, command=(rpm, rpm))
+    assert b"!S 1 " + sent + b"\r!S 2 " + sent + b"\r" in bench.sent
