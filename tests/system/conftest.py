@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from tiger.config.robot import RobotConfig
     from tiger.record import Record
 
 
@@ -84,9 +85,15 @@ STANDING = Scenario(title="stands on level ground", duration_s=60.0)
 
 
 @pytest.fixture
-def standing() -> Run:
-    """A robot on level ground, not armed yet."""
-    return Run(Rig(load_robot(None), STANDING, seed=3))
+def run_of() -> Callable[[RobotConfig], Run]:
+    """Return `run(config)`: a robot of this configuration on level ground, not armed yet."""
+    return lambda config: Run(Rig(config, STANDING, seed=3))
+
+
+@pytest.fixture
+def standing(run_of: Callable[[RobotConfig], Run]) -> Run:
+    """A robot of the default configuration on level ground, not armed yet."""
+    return run_of(load_robot(None))
 
 
 @pytest.fixture
