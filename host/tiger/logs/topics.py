@@ -76,9 +76,8 @@ class FaultReport:
 class LogStatus:
     """How the log itself does. Counts are totals since the session began."""
 
-    dropped_packets: int  # not taken from the control loop, because this process lagged
-    lost_bytes: int  # of the wire, in those packets
-    backlog_bytes: int  # received and not yet written
+    dropped_packets: int  # not taken from the control loop, because the log's process lagged; one a tick
+    dropped_bytes: int
 
 
 # --------------------------------------------------------------------------------------------------- ROS 2
