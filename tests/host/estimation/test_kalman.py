@@ -28,6 +28,16 @@ def test_gain_is_in_filter_form_and_its_predictor_form_is_that_of_control() -> N
     assert ours.gain != pytest.approx(theirs, rel=1e-2)
 
 
+def test_doubling_agrees_with_scipy_on_singular_process_noise() -> None:
+    from scipy.linalg import solve_discrete_are
+
+    process = np.zeros((14, 14))
+    process[7, 7] = 1e-3
+    ours = steady_state_gain(CAR.a, CAR.c, process, MEASUREMENT).prior
+    theirs = solve_discrete_are(CAR.a.T, CAR.c.T, process, MEASUREMENT)
+    assert ours == pytest.approx(theirs, rel=1e-7, abs=1e-7 * abs(theirs).max())
+
+
 def test_time_varying_steps_converge_to_the_steady_state() -> None:
     steady = steady_state_gain(CAR.a, CAR.c, PROCESS, MEASUREMENT)
     x, covariance = np.zeros(14), np.eye(14)
