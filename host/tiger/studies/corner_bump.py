@@ -62,7 +62,7 @@ def run(
     corners_cm = 100.0 * history.corner_height_m
     angles_deg = np.degrees(history.attitude_rad)
     settled = corners_cm[-1]
-    rows = [Row(f"{c} corner, settled", settled[i], "cm") for i, c in enumerate(CORNERS)]
+    rows = [Row(f"{c} corner, settled", float(settled[i]), "cm") for i, c in enumerate(CORNERS)]
     rows += [Row(f"{c} corner, largest", _extreme(corners_cm[:, i]), "cm") for i, c in enumerate(CORNERS)]
     for i, name in enumerate(("roll", "pitch", "yaw")):
         rows += [

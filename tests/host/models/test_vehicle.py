@@ -6,6 +6,8 @@ import json
 import os
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -567,3 +569,17 @@ def test_interpreted_source_moves_as_the_compiled_one_does() -> None:
     np.testing.assert_allclose(
         states(NUMBA_DISABLE_JIT="1"), states(NUMBA_DISABLE_JIT="0"), rtol=1e-9, atol=1e-9
     )
+
+
+@pytest.mark.proof
+def test_one_core_makes_a_hundred_thousand_steps_a_second(
+    record_figure: Callable[[str, object, str], None],
+) -> None:
+    vehicle, inputs = Vehicle(CAR), Inputs()
+    inputs.wheel_torque_nm[:] = [20.0, 30.0, 20.0, 30.0]
+    vehicle.step(vehicle.rolling(15.0), inputs)
+    start = time.process_time()
+    vehicle.step(vehicle.rolling(15.0), inputs, 1e-3, 50_000)
+    speed = 50_000 / (time.process_time() - start)
+    record_figure("14-DOF Runge-Kutta steps per second of one core", speed, ">= 1e5")
+    assert speed >= 1e5
