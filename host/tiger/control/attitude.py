@@ -155,7 +155,8 @@ def step(
     phase = _phase(design, state.phase, target, error, ride_error, centred, dt)
     if phase.moving:
         speed = suspension.pose(tuple(m * v for m, v in zip(ratio, rate, strict=True)))
-        wanted = _feedback(design, target, error, ride_error, present.warp_mm, speed)
+        turning = _turning(design, phase, target)
+        wanted = _feedback(design, turning, error, ride_error, present.warp_mm, speed)
         limits = _rate_limits(design, stroke_mm, rate)
         goal = _allocate(suspension, wanted, ratio, limits)
     else:
@@ -205,9 +206,18 @@ def _phase(
     return Phase(True, 0.0, 0.0, still_time_s, turning)
 
 
+def _turning(design: LevelingDesign, phase: Phase, target: Target) -> tuple[float, float]:
+    """Roll and pitch rate of the target; the noise of an axis that stands must not take rate from the other."""
+    roll, pitch = phase.turning_radps
+    return (
+        target.roll_rate_radps if abs(roll) > design.still_radps else 0.0,
+        target.pitch_rate_radps if abs(pitch) > design.still_radps else 0.0,
+    )
+
+
 def _feedback(
     design: LevelingDesign,
-    target: Target,
+    turning_radps: tuple[float, float],
     error: tuple[float, float],
     ride_error_mm: float,
     warp_mm: float,
@@ -218,7 +228,7 @@ def _feedback(
     The target may turn: the LQR acts on the rate relative to it, and the turning itself is added.
     """
     k, d = design.error_gain_per_s, design.rate_gain
-    roll_rate, pitch_rate = target.roll_rate_radps, target.pitch_rate_radps
+    roll_rate, pitch_rate = turning_radps
     return Pose(
         roll_rad=roll_rate + k * error[0] - d * (speed.roll_rad - roll_rate),
         pitch_rad=pitch_rate + k * error[1] - d * (speed.pitch_rad - pitch_rate),

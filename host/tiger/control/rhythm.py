@@ -107,12 +107,15 @@ def _time_turning_points(state: Rhythm, angle_rad: float, rate_radps: float, dt:
     return Rhythm(centre=angle_rad, frequency_radps=measured, direction=direction)
 
 
-def followable(state: Rhythm, rate_limit_radps: float, lead_s: float) -> tuple[float, float]:
-    """Return angle now and rate `lead_s` from now of the rate-limited motion nearest to the ground (RMS).
+def followable(
+    state: Rhythm, rate_limit_radps: float, delay_s: float = 0.0, lag_s: float = 0.0
+) -> tuple[float, float]:
+    """Return angle and rate of the rate-limited motion that is nearest to the ground in the RMS.
 
-    By Pontryagin's principle it consists of arcs at the limit and arcs on the sine. By symmetry those at the
-    limit go through the centre: while the sine's top rate is below pi/2 of the limit they are its chords;
-    beyond that they join to a triangle in phase.
+    A command acts `delay_s` late and then through a lag: the angle is that of `delay_s` from now, the rate that of
+    `delay_s + lag_s` from now. By Pontryagin's principle the motion consists of arcs at the limit and arcs on the
+    sine. By symmetry those at the limit go through the centre: while the sine's top rate is below pi/2 of the
+    limit they are its chords; beyond that they join to a triangle in phase.
     """
     amplitude, w = state.amplitude_rad, state.frequency_radps
     slope = rate_limit_radps / w
@@ -125,8 +128,8 @@ def followable(state: Rhythm, rate_limit_radps: float, lead_s: float) -> tuple[f
             return slope * folded, rising * rate_limit_radps
         return amplitude * math.sin(folded), rising * amplitude * w * math.cos(folded)
 
-    phase = math.atan2(state.x, state.y)
-    return state.centre + at(phase)[0], at(phase + w * lead_s)[1]
+    phase = math.atan2(state.x, state.y) + w * delay_s
+    return state.centre + at(phase)[0], at(phase + w * lag_s)[1]
 
 
 def _chord(share: float) -> float:

@@ -167,7 +167,8 @@ def _followable_ground(
         (estimate.plate_roll_rad, estimate.plate_roll_rate_radps),
         (estimate.plate_pitch_rad, estimate.plate_pitch_rate_radps),
     ]
-    limits = design.leveling.turn_limits_radps
+    limits, actuator = design.leveling.turn_limits_radps, design.robot.actuator
+    delay_s = design.robot.leveling.setpoint_delay_s
     # Rates of two axes add on the actuators: each gets its share of what is asked.
     demand = [
         rhythm.amplitude_rad * rhythm.frequency_radps / limit if rhythm.trusted else 0.0
@@ -178,7 +179,7 @@ def _followable_ground(
         for axis, rhythm in enumerate(known.ground):
             limit = limits[axis] * demand[axis] / total
             if limit > 0.0:
-                axes[axis] = followable(rhythm, limit, design.leveling.lag_s)
+                axes[axis] = followable(rhythm, limit, delay_s, actuator.lag_s)
     return axes[0], axes[1]
 
 
