@@ -5,6 +5,7 @@
 #   make flash BOARD=... PORT=... [BOOTLOADER=old] [INSTANCE=right] [DRY_RUN=1]
 #   make budget                                         firmware/BUDGET.md, measured in simavr
 
+# Every file is written beside its place and moved there: two makes at once do not read each other's halves.
 BOARDS := mega_suspension nano_imu mega_speed
 
 MCU_mega_suspension := atmega2560
@@ -48,8 +49,8 @@ $(AVR_OUT)/core_$(1)/%.cpp.o: $(ARDUINO)/cores/arduino/%.cpp
 	@mkdir -p $$(@D)
 	@$(AVR_CXX) $$(call avr_cxx,$(1)) $(AVR_CORE_FLAGS) -c $$< -o $$@
 $(AVR_OUT)/core_$(1).a: $(addprefix $(AVR_OUT)/core_$(1)/,$(AVR_CORE_C:%=%.o) $(AVR_CORE_CXX:%=%.o))
-	@rm -f $$@
-	@$(AVR_AR) rcs $$@ $$^
+	@rm -f $$@.new
+	@$(AVR_AR) rcs $$@.new $$^ && mv $$@.new $$@
 endef
 $(foreach mcu,atmega2560 atmega328p,$(eval $(call avr_core,$(mcu))))
 
@@ -57,15 +58,15 @@ define avr_board
 $(AVR_OUT)/$(1).o: firmware/$(1)/$(1).ino $(AVR_OUT)/revision
 	@mkdir -p $$(@D)
 	@$(AVR_CXX) $$(call avr_cxx,$(MCU_$(1))) $(AVR_STRICT) $(AVR_LIBRARIES) $(AVR_REVISION) -MMD -MP -include Arduino.h \
-	  -x c++ -c $$< -o $$@
+	  -MT $$@ -MF $$(@:.o=.d) -x c++ -c $$< -o $$@.new && mv $$@.new $$@
 $(AVR_OUT)/$(1).elf: $(AVR_OUT)/$(1).o $(AVR_OUT)/core_$(MCU_$(1)).a
-	@$(AVR_CXX) -Os -g -flto -fuse-linker-plugin -Wl,--gc-sections -mmcu=$(MCU_$(1)) -o $$@ $$^ -lm
+	@$(AVR_CXX) -Os -g -flto -fuse-linker-plugin -Wl,--gc-sections -mmcu=$(MCU_$(1)) -o $$@.new $$^ -lm && mv $$@.new $$@
 -include $(AVR_OUT)/$(1).d
 endef
 $(foreach board,$(BOARDS),$(eval $(call avr_board,$(board))))
 
 $(AVR_OUT)/%.hex: $(AVR_OUT)/%.elf
-	@$(AVR_OBJCOPY) -O ihex -R .eeprom $< $@
+	@$(AVR_OBJCOPY) -O ihex -R .eeprom $< $@.new && mv $@.new $@
 
 # Touched only when the revision changes, so that the images are rebuilt then and not otherwise.
 $(AVR_OUT)/revision: FORCE
