@@ -106,7 +106,7 @@ struct avr_board {
   Pending pending[kVectors];
   int running_vector = 0;
   uint64_t entered_at = 0;
-  avr_turns turns = {0, UINT32_MAX, 0, 0};
+  std::vector<uint32_t> turns;  // cycles of each turn of the main loop
   uint64_t turn_at = 0;
   avr_watchdog_t* watchdog = nullptr;
   avr_twi_t* twi = nullptr;
@@ -252,13 +252,7 @@ void interrupt_running(avr_irq_t*, uint32_t vector, void* param) {
 void turn_begins(avr_t* avr, avr_io_addr_t address, uint8_t value, void* param) {
   avr_board& board = *static_cast<avr_board*>(param);
   avr->data[address] = value;
-  if (board.turn_at != 0) {
-    const uint32_t cycles = static_cast<uint32_t>(avr->cycle - board.turn_at);
-    ++board.turns.turns;
-    board.turns.total_cycles += cycles;
-    if (cycles < board.turns.min_cycles) board.turns.min_cycles = cycles;
-    if (cycles > board.turns.max_cycles) board.turns.max_cycles = cycles;
-  }
+  if (board.turn_at != 0) board.turns.push_back(static_cast<uint32_t>(avr->cycle - board.turn_at));
   board.turn_at = avr->cycle;
 }
 
@@ -580,8 +574,15 @@ uint8_t avr_peek(const avr_board* board, uint16_t address) { return board->avr->
 void avr_poke(avr_board* board, uint16_t address, uint8_t value) { board->avr->data[address] = value; }
 avr_isr avr_isr_read(const avr_board* board, int vector) { return board->isrs[vector & (kVectors - 1)]; }
 void avr_isr_clear(avr_board* board) { memset(board->isrs, 0, sizeof(board->isrs)); }
-avr_turns avr_turns_read(const avr_board* board) { return board->turns; }
-void avr_turns_clear(avr_board* board) { board->turns = {0, UINT32_MAX, 0, 0}; }
+void avr_turns_clear(avr_board* board) { board->turns.clear(); }
+
+// The latest ones; returns how many.
+uint32_t avr_turns_read(const avr_board* board, uint32_t* cycles, uint32_t capacity) {
+  const std::vector<uint32_t>& turns = board->turns;
+  const size_t n = turns.size() < capacity ? turns.size() : capacity;
+  memcpy(cycles, turns.data() + (turns.size() - n), n * sizeof(uint32_t));
+  return static_cast<uint32_t>(n);
+}
 
 void avr_bno055_add(avr_board* board, int address) {
   board->device.reset(new Bno055Device(static_cast<uint8_t>(address)));

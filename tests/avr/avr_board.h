@@ -13,11 +13,6 @@ typedef struct {
   uint64_t high_cycles, last_change;
   int level;
 } avr_pin;
-typedef struct {
-  uint32_t turns;
-  uint32_t min_cycles, max_cycles;
-  uint64_t total_cycles;
-} avr_turns;
 
 avr_board* avr_board_new(const char* mcu, const char* elf_path);
 void avr_board_free(avr_board* board);
@@ -44,7 +39,7 @@ uint8_t avr_peek(const avr_board* board, uint16_t address);
 void avr_poke(avr_board* board, uint16_t address, uint8_t value);
 avr_isr avr_isr_read(const avr_board* board, int vector);
 void avr_isr_clear(avr_board* board);
-avr_turns avr_turns_read(const avr_board* board);
+uint32_t avr_turns_read(const avr_board* board, uint32_t* cycles, uint32_t capacity);
 void avr_turns_clear(avr_board* board);
 
 void avr_bno055_add(avr_board* board, int address);

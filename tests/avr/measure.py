@@ -189,10 +189,11 @@ def page(figures: dict[str, list[Row]]) -> str:
     lines = [
         "# Budget of the images",
         "",
-        "Written by `make budget`: the images run in simavr at 16 MHz, one second at work after start-up (all",
-        "armed, four actuators moving, wheels at 800 rpm and at the speeds where tooth pitches are learned,",
-        "telemetry and pings on). Cycles of an interrupt include its entry and return; a turn of the main loop",
-        "includes the interrupts that fall into it. A figure above its budget fails the command.",
+        "Written by `make budget`: the images run in simavr at 16 MHz, one second at work after start-up",
+        "(all armed, four actuators moving, wheels at 800 rpm and at the speeds where tooth pitches are",
+        "learned, telemetry and pings on). Cycles of an interrupt include its entry and return; a turn of",
+        "the main loop includes the interrupts that fall into it; the CPU beyond idle turns is what is left",
+        "of the time when every turn costs the median one. A figure over its budget fails the command.",
     ]
     for name, rows in figures.items():
         lines += ["", f"## {name}", "", "| what | measured | budget | |", "|---|---|---|---|"]

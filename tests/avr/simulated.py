@@ -18,6 +18,7 @@ HZ = 16_000_000
 CYCLES_PER_MS = HZ // 1000
 WORLD_STEP_MS = 1.0
 QUANTUM_CYCLES = 200  # below the 640 cycles a byte takes on the Nano's wire
+MOST_TURNS = 1_000_000
 IMAGES = build_simavr.ROOT / "build" / "firmware"
 MCU = {"mega_suspension": "atmega2560", "nano_imu": "atmega328p", "mega_speed": "atmega2560"}
 KIND = {name: wire.BoardKind[name.upper()] for name in MCU}
@@ -47,17 +48,17 @@ class Pin(NamedTuple):
 
 
 class Turns(NamedTuple):
-    """Turns of the main loop, in cycles."""
+    """Turns of the main loop, in cycles; the median one is idle."""
 
     count: int
-    min_cycles: int
+    idle_cycles: int
     max_cycles: int
     total_cycles: int
 
     @property
     def load(self) -> float:
         """Share of the time that is more than idle turns."""
-        return 1.0 - self.count * self.min_cycles / self.total_cycles
+        return 1.0 - self.count * self.idle_cycles / self.total_cycles
 
 
 class Board:
@@ -71,6 +72,7 @@ class Board:
             raise FileNotFoundError(f"{path}: build it with `make firmware`")
         self._bytes = _ffi.new("uint8_t[]", 65536)
         self._stamps = _ffi.new("uint64_t[]", 65536)
+        self._turns = _ffi.new("uint32_t[]", MOST_TURNS)
 
     def close(self) -> None:
         """Free the simulated chip."""
@@ -149,8 +151,9 @@ class Board:
 
     def turns(self) -> Turns:
         """Statistics of the main loop since the last `clear_statistics`."""
-        turns = _lib.avr_turns_read(self._board)
-        return Turns(turns.turns, turns.min_cycles, turns.max_cycles, turns.total_cycles)
+        n = _lib.avr_turns_read(self._board, self._turns, MOST_TURNS)
+        cycles = sorted(self._turns[0:n]) or [0]
+        return Turns(n, cycles[len(cycles) // 2], cycles[-1], sum(cycles))
 
     def clear_statistics(self) -> None:
         """Begin counting afresh."""

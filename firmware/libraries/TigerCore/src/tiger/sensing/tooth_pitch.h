@@ -31,14 +31,15 @@ class ToothPitch {
   // The chain of intervals broke: a pause, a reversal, a speed beyond the limits.
   void restart() { run_ = 0; }
 
-  // The interval that ends at edge `position`, crossed forwards right after its predecessor.
+  // The interval that ends at edge `position`, crossed forwards right after its predecessor. About 2000 cycles.
   void learn(int32_t position, uint32_t interval_ticks) {
     if (intervals_ > kMaxIntervals) return;
     if (interval_ticks < kShortest_ticks || interval_ticks > 0xFFFF) {
       restart();
       return;
     }
-    const uint16_t newest = index_of(position);
+    const uint16_t newest = run_ > 0 ? wrap(static_cast<uint16_t>(newest_ + 1)) : index_of(position);
+    newest_ = newest;
     const uint16_t opposite = wrap(static_cast<uint16_t>(newest + intervals_ / 2));
     const uint16_t interval = static_cast<uint16_t>(interval_ticks);
     if (run_ == 0) {
@@ -82,7 +83,7 @@ class ToothPitch {
   }
 
  private:
-  static constexpr uint8_t kMostRevolutions = 16;  // averaged over; older ones fade
+  static constexpr uint8_t kMostRevolutions = 16;  // from then on older ones fade
 
   // Speed may change by an eighth over a revolution: what a centred mean leaves of that is under 0.1 %.
   bool steady() const {
@@ -92,12 +93,14 @@ class ToothPitch {
     return difference < revolution_ticks_ / 16;
   }
 
+  // A mean over the first revolutions that then fades: weight 1, 1/2, 1/4, 1/4, 1/8 ...
   void blend(uint16_t index, float pitch) {
     if (pitch < 0.1f || pitch > 3.9f) return;
-    const int16_t weight = static_cast<int16_t>(revolutions_ + 1);
+    uint8_t shift = 0;
+    while ((revolutions_ >> shift) != 0) ++shift;
     const int32_t difference = static_cast<int32_t>(pitch * kOne) - pitch_[index];
-    const int32_t rounding = difference < 0 ? -(weight / 2) : weight / 2;
-    pitch_[index] = static_cast<uint16_t>(pitch_[index] + (difference + rounding) / weight);
+    const int32_t half = (int32_t{1} << shift) >> 1;
+    pitch_[index] = static_cast<uint16_t>(pitch_[index] + ((difference + half) >> shift));
   }
 
   // A revolution fills the ring, each further one in a row teaches every interval once.
@@ -116,6 +119,7 @@ class ToothPitch {
 
   uint16_t intervals_;
   uint16_t run_;
+  uint16_t newest_;  // index of the last interval
   uint8_t revolutions_;
   uint32_t revolution_ticks_;  // of the last `intervals_` intervals
   uint32_t half_ticks_;        // of the last half of them
