@@ -78,7 +78,7 @@ class Iso:
 
     goals: Array
     preview_s: float | None
-    roads: int = 4
+    roads: int = 6
     delay: int = 0
     power: float = 30.0
 
@@ -86,9 +86,7 @@ class Iso:
         self.noise = ImuNoise()
         time_s = fine_time_s(8.0)
         roads = [
-            wheel_heights_m(
-                iso_road("C", SEED + i, band_cycles_per_m=(0.01, 2.83)), time_s, 10.0, (0, 0, 0.268, 0.268)
-            )
+            wheel_heights_m(iso_road("C", SEED + i), time_s, 10.0, (0, 0, 0.268, 0.268))
             for i in range(self.roads)
         ]
         self.road = np.stack(roads)
@@ -107,13 +105,13 @@ class Iso:
         return float(np.log(np.sum(rows**self.power)) / self.power)
 
 
-GOALS: dict[str, Callable[[], Callable[[Array], float]]] = {
+GOALS: dict[str, Callable[[], Bumpy | Iso]] = {
     "bumpy-preview-x0.03": lambda: Bumpy(0.03, 0.102, seeds=20),
     "bumpy-preview-x0.1": lambda: Bumpy(0.1, 0.102, seeds=6, judge_mean=True),
     "bumpy-plain-x1": lambda: Bumpy(1.0, None, seeds=6, judge_mean=True),
     "iso-preview": lambda: Iso(np.array([0.375, 0.33, 0.365, 0.97, 0.97, 1.31, 1.31]), 0.268),
     "iso-plain": lambda: Iso(np.array([0.375, 0.33, 0.365, 0.97, 0.97, 1.31, 1.31]), None),
-    "holding-plain": lambda: Iso(np.array([0.51, 0.45, 0.56, 1.0, 1.0, 1.0, 1.0]), None),
+    "holding-plain": lambda: Iso(np.array([0.51, 0.45, 0.56, 0.99, 0.99, 0.99, 0.99]), None),
     "holding-preview": lambda: Iso(np.array([0.45, 0.38, 0.48, 1.0, 1.0, 0.75, 0.75]), 0.268),
     "robust": lambda: Iso(np.array([0.55, 0.5, 0.6, 1.0, 1.0, 1.0, 1.0]), None, delay=1),
 }
@@ -192,10 +190,16 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=3.0)
     parser.add_argument("--start", help="JSON with the parameters to start from")
     parser.add_argument("--step", type=float, default=0.2)
+    parser.add_argument(
+        "--power", type=float, help="norm over the rows: low to find the way, high to level them"
+    )
     arguments = parser.parse_args()
     default = START if arguments.name.startswith("bumpy") else START_ISO
     start = default if arguments.start is None else np.array(json.loads(arguments.start)["parameters"])
-    minimise(GOALS[arguments.name](), start, arguments.step, arguments.minutes, arguments.name)
+    goal = GOALS[arguments.name]()
+    if arguments.power is not None:
+        goal.power = arguments.power
+    minimise(goal, start, arguments.step, arguments.minutes, arguments.name)
 
 
 if __name__ == "__main__":

@@ -143,6 +143,10 @@ class RideController:
         tail = () if runs is None else (runs,)
         return RideState(np.zeros((len(self.model.a), *tail)), np.zeros((4, *tail)), np.zeros((4, *tail)))
 
+    def step(self, state: RideState, imu: Array) -> tuple[RideState, Array]:
+        """Take one measurement; see the function `step`."""
+        return step(self, state, imu)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RideState:

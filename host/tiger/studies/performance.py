@@ -8,7 +8,7 @@ side.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from tiger.control.ride import ImuNoise, RideController
+    from tiger.control.ride import ImuNoise
     from tiger.models.full_car import FullCarParameters
     from tiger.models.linear import LinearModel
 
@@ -42,6 +42,18 @@ INDEX_NAMES = (
 INDEX_UNITS = ("m/s^2",) * 2 + ("rad/s^2",) * 4 + ("-",) * 8
 
 SIMULATED = (IMU[0], *BODY_ACCELERATION[1:], *SUSPENSION, *TIRE)
+
+
+class Controller(Protocol):
+    """Anything that turns an IMU sample (3, runs) into forces (4, runs) with a state of its own."""
+
+    def start(self, runs: int | None = None) -> Any:
+        """Return the state to begin with."""
+        ...
+
+    def step(self, state: Any, imu: Array) -> tuple[Any, Array]:
+        """Return the next state and the force."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +102,7 @@ def fine_time_s(duration_s: float) -> Array:
 def simulate(
     p: FullCarParameters,
     road_m: Array,
-    controller: RideController | None = None,
+    controller: Controller | None = None,
     noise: ImuNoise | None = None,
     seeds: tuple[int, ...] = (0,),
     imu_offset_m: tuple[float, float] = (0.0, 0.0),
@@ -137,7 +149,7 @@ def simulate(
             sample = measurement(sample)
         measured[k] = sample
         if controller is not None and state is not None:
-            state, forces[k + late + 1] = ride.step(controller, state, sample)
+            state, forces[k + late + 1] = controller.step(state, sample)
         x = powers[-1] @ x + push_old @ forces[k] + push_new @ forces[k + 1] + road_steps[k]
 
     outputs = _between(car, a, push, drive, roads, states, forces, late_fine)
