@@ -1,4 +1,6 @@
-"""The 14-DOF vehicle's equations of motion (chapter 5, eqs. 5.1-5.19, corrected), compiled.
+"""The 14-DOF vehicle's equations of motion (eqs. 5.1-5.19, corrected), compiled.
+
+Errata are numbered as in docs/vehicle-model.md.
 
 Bodies: the sprung body (6 DOF, full rotations), four wheel carriers that slide along the body's z axis, four
 wheels that spin about its y axis. The equations are Kane's for the generalised speeds body velocity, body
@@ -23,7 +25,7 @@ from math import isnan, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from tiger.models.jit import Record, jit
+from tiger.models.jit import Record, Row, jit
 from tiger.models.soil import compaction_resistance, rolling_direction, sinkage_of_tire, soil_forces
 from tiger.models.terrain import ground_at
 from tiger.models.tire import contact_forces, contact_slip_rates
@@ -63,6 +65,47 @@ VEHICLE = np.dtype(
 
 
 @jit
+def _rotation(state: Array) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """Rows of eq. 5.2 from the quaternion: its columns are the body's axes in the world."""
+    w, x, y, z = state[3], state[4], state[5], state[6]
+    return (
+        *(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
+        *(2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
+        *(2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
+    )
+
+
+@jit
+def _tangents(
+    bx: float, by: float, bz: float, nx: float, ny: float, nz: float
+) -> tuple[float, float, float, float, float, float]:
+    """Heading and left of a wheel in the ground's tangent plane, from body x axis `b` and ground normal `n`."""
+    climb = bx * nx + by * ny + bz * nz
+    ax, ay, az = bx - climb * nx, by - climb * ny, bz - climb * nz
+    length = sqrt(ax * ax + ay * ay + az * az) + 1e-12  # nose straight down: no heading, no slip
+    ax, ay, az = ax / length, ay / length, az / length
+    return ax, ay, az, ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
+
+
+@jit
+def _drive_torque(v: Row, torque: float, speed: float, motor_speed: float) -> float:
+    """Torque of a motor: as commanded, or towards a speed command where there is one, within its limit."""
+    if not isnan(speed):
+        torque = v.speed_gain * (speed - motor_speed)
+    return min(max(torque, -v.torque_max), v.torque_max)
+
+
+@jit
+def _quaternion_rate(state: Array, p: float, q: float, r: float, out: Array) -> None:
+    """Write half the quaternion times the body rates (eq. 5.6 without its singularity)."""
+    w, x, y, z = state[3], state[4], state[5], state[6]
+    out[3] = -0.5 * (x * p + y * q + z * r)
+    out[4] = 0.5 * (w * p + y * r - z * q)
+    out[5] = 0.5 * (w * q + z * p - x * r)
+    out[6] = 0.5 * (w * r + x * q - y * p)
+
+
+@jit
 def derivative(
     vehicle: Record,
     tire: Record,
@@ -81,14 +124,10 @@ def derivative(
     `lead` is the time since the inputs were set: the lift has gone on at its rate since.
     """
     v, t, s = vehicle[0], tire[0], soil[0]
-    qw, qx, qy, qz = state[3], state[4], state[5], state[6]
     u, w_side, w_up = state[7], state[8], state[9]
     p, q, r = state[10], state[11], state[12]
 
-    # Eq. 5.2 from the quaternion: columns are the body's axes in the world.
-    r11, r12, r13 = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy - qz * qw), 2.0 * (qx * qz + qy * qw)
-    r21, r22, r23 = 2.0 * (qx * qy + qz * qw), 1.0 - 2.0 * (qx * qx + qz * qz), 2.0 * (qy * qz - qx * qw)
-    r31, r32, r33 = 2.0 * (qx * qz - qy * qw), 2.0 * (qy * qz + qx * qw), 1.0 - 2.0 * (qx * qx + qy * qy)
+    r11, r12, r13, r21, r22, r23, r31, r32, r33 = _rotation(state)
     gx, gy, gz = -v.gravity * r31, -v.gravity * r32, -v.gravity * r33
 
     # Accelerations of the COM that need no force: omega x v.
@@ -129,21 +168,11 @@ def derivative(
             height -= sinkage
         vertical = 0.0
         if compression > 0.0:
-            vertical = max(
-                0.0,
-                v.tire_stiffness * (compression - sinkage)
-                + v.tire_damping * (hx * wx + hy * wy - wz + inputs[POST_RATE_AT + i]),
-            )
+            closing = hx * wx + hy * wy - wz + inputs[POST_RATE_AT + i]
+            vertical = max(0.0, v.tire_stiffness * (compression - sinkage) + v.tire_damping * closing)
         steepness = sqrt(1.0 + hx * hx + hy * hy)
         load = vertical * steepness
-        nx, ny, nz = -hx / steepness, -hy / steepness, 1.0 / steepness
-
-        # The wheel's heading and side in the ground's tangent plane.
-        climb = r11 * nx + r21 * ny + r31 * nz
-        ax, ay, az = r11 - climb * nx, r21 - climb * ny, r31 - climb * nz
-        length = sqrt(ax * ax + ay * ay + az * az) + 1e-12
-        ax, ay, az = ax / length, ay / length, az / length
-        ex, ey, ez = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
+        ax, ay, az, ex, ey, ez = _tangents(r11, r21, r31, -hx / steepness, -hy / steepness, 1.0 / steepness)
 
         # Sliding: roll moves the contact sideways (erratum 14), spin moves it back.
         arm = (cz - height) / steepness
@@ -169,10 +198,7 @@ def derivative(
             tire_fx, tire_fy = contact_forces(t, load, slip_speed, forward, sideways, kappa, tan_alpha)
 
         # Eq. 5.19 with its corrected signs; the motor's stator turns the body back (erratum 17).
-        torque = inputs[TORQUE_AT + i]
-        if not isnan(inputs[SPEED_AT + i]):
-            torque = v.speed_gain * (inputs[SPEED_AT + i] - (spin - q))
-        torque = min(max(torque, -v.torque_max), v.torque_max)
+        torque = _drive_torque(v, inputs[TORQUE_AT + i], inputs[SPEED_AT + i], spin - q)
         out[SPIN_AT + i] = (torque - (tire_fx + rolling) * v.rolling_radius) / v.spin_inertia
 
         # Ground force on the wheel in world, then body axes.
@@ -242,10 +268,7 @@ def derivative(
     out[0] = r11 * u + r12 * w_side + r13 * w_up
     out[1] = r21 * u + r22 * w_side + r23 * w_up
     out[2] = r31 * u + r32 * w_side + r33 * w_up
-    out[3] = -0.5 * (qx * p + qy * q + qz * r)
-    out[4] = 0.5 * (qw * p + qy * r - qz * q)
-    out[5] = 0.5 * (qw * q + qz * p - qx * r)
-    out[6] = 0.5 * (qw * r + qx * q - qy * p)
+    _quaternion_rate(state, p, q, r, out)
 
 
 @jit
