@@ -79,7 +79,7 @@ def _rotation(state: Array) -> tuple[float, float, float, float, float, float, f
 def _tangents(
     bx: float, by: float, bz: float, nx: float, ny: float, nz: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Heading and left of a wheel in the ground's tangent plane, from body x axis `b` and ground normal `n`."""
+    """Heading and left of a wheel in the ground's tangent plane: body x axis `b`, ground normal `n`."""
     climb = bx * nx + by * ny + bz * nz
     ax, ay, az = bx - climb * nx, by - climb * ny, bz - climb * nz
     length = sqrt(ax * ax + ay * ay + az * az) + 1e-12  # nose straight down: no heading, no slip
