@@ -40,7 +40,7 @@ def replace_pot(rig, read):
     rig.read_pot = lambda corner, counts: read(counts) if corner == CORNER else counts
 
 
-# --------------------------------------------------------------------------------------------- potentiometers
+# ------------------------------------------------------------------------------------------ potentiometers
 
 
 @pytest.mark.parametrize("rail", [0.0, 1023.0, 20.0, 1005.0])
@@ -102,7 +102,7 @@ def test_a_single_glitch_is_passed_over(armed):
     assert armed.actuators[CORNER].stroke_mm > before
 
 
-# --------------------------------------------------------------------------------------------- motion
+# ------------------------------------------------------------------------------------------ motion
 
 
 @pytest.mark.parametrize("rate", [9.4, -9.4, 6.0, -4.0])
@@ -173,7 +173,7 @@ def test_a_driver_that_moves_a_disarmed_board(rig):
     demand_fault(rig, Fault.DRIVER)
 
 
-# --------------------------------------------------------------------------------------------- limit switches
+# ------------------------------------------------------------------------------------------ limit switches
 
 
 def test_a_limit_switch_pressed_at_mid_stroke(armed):
@@ -228,7 +228,7 @@ def test_a_pressed_switch_at_its_end_bars_its_direction_only(make_rig, side, rat
     assert rig.board.drive()[CORNER] * rate < 0
 
 
-# --------------------------------------------------------------------------------------------- heat
+# ------------------------------------------------------------------------------------------ heat
 
 
 def test_a_motor_that_works_beyond_its_duty_cycle_is_switched_off_and_cools(armed):
@@ -266,7 +266,7 @@ def test_levelling_on_the_shaking_plate_never_overheats(armed):
     assert armed.faults() == set()
 
 
-# --------------------------------------------------------------------------------------------- no false alarms
+# ------------------------------------------------------------------------------------------ no false alarms
 
 
 def test_backlash_stiction_and_reversals_raise_no_fault(armed):

@@ -75,7 +75,7 @@ class Watch:
         return [abs(s - t) for s, t in zip(self.rig.strokes_mm, self.targets, strict=True)]
 
 
-# --------------------------------------------------------------------------------------------- one long move
+# ------------------------------------------------------------------------------------------ one long move
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -115,7 +115,7 @@ def test_small_moves_arrive_too(make_rig):
         assert rig.is_off
 
 
-# --------------------------------------------------------------------------------------------- all four together
+# ------------------------------------------------------------------------------------------ all four together
 
 
 def test_four_actuators_keep_within_0_3_mm_of_each_other(make_rig, record_figure):
@@ -151,7 +151,7 @@ def test_unequal_ways_arrive_together(make_rig):
     assert max(watch.errors_mm) <= 0.2
 
 
-# --------------------------------------------------------------------------------------------- following rates
+# ------------------------------------------------------------------------------------------ following rates
 
 
 def test_strokes_follow_the_commanded_rate_with_the_actuators_lag(armed):
@@ -203,7 +203,7 @@ def test_an_actuator_that_cannot_follow_says_so(make_rig):
     assert rig.state.flags & 0b1111 == 0b0010
 
 
-# --------------------------------------------------------------------------------------------- soft limits
+# ------------------------------------------------------------------------------------------ soft limits
 
 
 @pytest.mark.parametrize(("rate", "limit"), [(9.4, 69.0), (-9.4, 1.0)])
@@ -229,7 +229,7 @@ def test_outside_a_soft_limit_only_the_way_back_is_open(make_rig):
     assert all(s < 67.8 for s in rig.strokes_mm)
 
 
-# --------------------------------------------------------------------------------------------- recovery
+# ------------------------------------------------------------------------------------------ recovery
 
 
 def first_motion_ms(rig, rate):
@@ -270,7 +270,7 @@ def test_after_8_s_of_saturation_a_stop_is_a_stop(make_rig):
     assert rig.is_off
 
 
-# --------------------------------------------------------------------------------------------- changes of mode
+# ------------------------------------------------------------------------------------------ changes of mode
 
 
 def test_a_move_takes_over_from_a_rate_and_a_rate_from_a_move_without_a_bump(make_rig):

@@ -33,7 +33,8 @@ class PotCurve {
     for (uint8_t i = 0; i < kSegments; ++i) {
       readings_[i] = points[i];
       strokes_[i] = i * segment;
-      slopes_[i] = static_cast<uint16_t>(segment * 16 / (points[i + 1] - points[i]));
+      const int32_t span = points[i + 1] - points[i];
+      slopes_[i] = static_cast<uint16_t>((segment * 16 + span / 2) / span);
     }
     lowest_ = points[0] / 2;
     highest_ = static_cast<uint16_t>(points[kSegments] + (kMaxSum - points[kSegments]) / 2);

@@ -46,14 +46,14 @@ class RateLoop {
  private:
   // Back-calculation: what saturation cuts off is taken out of the integral, as far as that is to blame for it.
   void take_back(int32_t excess) {
-    const int32_t left = integral_ - (excess << kBackShift);
+    const int32_t left = integral_ - excess * kBackGain;
     if (excess > 0 && integral_ > 0) integral_ = left > 0 ? left : 0;
     if (excess < 0 && integral_ < 0) integral_ = left < 0 ? left : 0;
   }
 
   static constexpr int16_t kNoise = 150;        // um/s of the observed rate at rest
   static constexpr uint8_t kIntegralShift = 5;  // 1/32 per tick
-  static constexpr uint8_t kBackShift = 2;      // an eighth of the excess per tick
+  static constexpr int32_t kBackGain = 4;       // an eighth of the excess per tick
   static constexpr int32_t kIntegralLimit = int32_t{3000} << kIntegralShift;
 
   int16_t full_speed_ = 9400;

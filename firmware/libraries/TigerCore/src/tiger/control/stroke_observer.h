@@ -28,8 +28,8 @@ class StrokeObserver {
   int32_t surprise(int32_t reading) const { return reading - (stroke_ - scale(rate_, kReadingAge)); }
 
   void correct(int32_t surprise) {
-    stroke_ += surprise >> kStrokeGain;
-    rate_ = saturate16(rate_ + (surprise >> kRateGain));
+    stroke_ += part(surprise, kStrokeGain);
+    rate_ = saturate16(rate_ + part(surprise, kRateGain));
   }
 
   int32_t stroke() const { return stroke_; }
@@ -39,10 +39,11 @@ class StrokeObserver {
   int32_t stop_point() const { return stroke_ + static_cast<int32_t>(rate_) * kLagTicks; }
 
  private:
-  static constexpr uint16_t kReadingAge =
-      q16(0.67);                             // ticks: half a sweep of conversions and the wait for the tick
-  static constexpr uint8_t kStrokeGain = 2;  // 1/4 per tick
-  static constexpr uint8_t kRateGain = 6;    // 1/32 per tick
+  static int32_t part(int32_t x, uint8_t shift) { return (x + (int32_t{1} << (shift - 1))) >> shift; }
+
+  static constexpr uint16_t kReadingAge = q16(0.67);  // ticks: half a sweep, and the wait for the tick
+  static constexpr uint8_t kStrokeGain = 2;           // a quarter per tick
+  static constexpr uint8_t kRateGain = 6;             // a 64th per tick
 
   int32_t stroke_ = 0;
   int16_t rate_ = 0;
