@@ -1,0 +1,242 @@
+"""Limits and faults: each names what, value, limit and next step, and only when it is exceeded."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from tiger.config.robot import RobotConfig, load_robot
+from tiger.daemon import limits
+from tiger.daemon.limits import LIMITS, RestCheck
+from tiger.daemon.rest_calibration import RestCalibration, bias_messages
+from tiger.devices.roboteq import FaultFlag, MotorFlag, Roboteq
+from tiger.protocol.link import Session
+from tiger.protocol.messages import (
+    FAULT_INFO,
+    BoardKind,
+    BoardState,
+    Fault,
+    Health,
+    HelloReply,
+    ImuFlag,
+)
+from tiger.record import (
+    DriveSample,
+    Estimate,
+    ImuRawSample,
+    ImuSample,
+    Inputs,
+    ProblemKind,
+    StrokeSample,
+    WheelSample,
+)
+
+NOW_S = 100.0
+GOOD_FLAGS = 1 << ImuFlag.CALIBRATED | 1 << ImuFlag.FILTER_READY | 1 << ImuFlag.REST
+IMU = ImuSample(NOW_S, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3, (0.0,) * 3, GOOD_FLAGS)
+WHEELS = WheelSample(NOW_S, (0, 0), (0.0, 0.0), 0)
+DRIVE = DriveSample(NOW_S, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), 24.0, 30.0, 0, 0)
+GOOD = Inputs(
+    now_s=NOW_S,
+    armed=True,
+    strokes=StrokeSample(NOW_S, (35.0,) * 4, (0.0,) * 4, (0,) * 4, 0),
+    imu=IMU,
+    wheels_left=WHEELS,
+    wheels_right=WHEELS,
+    drive_left=DRIVE,
+    drive_right=DRIVE,
+)
+LEVEL = Estimate(ready=True)
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotConfig:
+    return load_robot(None)
+
+
+def found(robot: RobotConfig, inputs: Inputs, estimate: Estimate = LEVEL, armed: bool = False) -> list[str]:
+    return [str(problem) for problem in limits.exceeded(robot.safety, inputs, estimate, armed)]
+
+
+def test_a_good_robot_exceeds_nothing(robot: RobotConfig) -> None:
+    assert found(robot, GOOD) == found(robot, GOOD, armed=True) == []
+
+
+def test_what_was_never_measured_exceeds_nothing(robot: RobotConfig) -> None:
+    assert found(robot, Inputs(now_s=NOW_S, armed=False), Estimate()) == []
+
+
+LATE, SLOW = NOW_S - 0.061, NOW_S - 0.2
+
+
+@pytest.mark.parametrize(
+    ("inputs", "words"),
+    [
+        (
+            replace(GOOD, imu=replace(IMU, t_s=NOW_S - 0.061)),
+            "nano_imu: newest sample is 61 ms old, the limit is 60",
+        ),
+        (
+            replace(GOOD, wheels_left=replace(WHEELS, t_s=SLOW)),
+            "mega_speed (left): newest wheel speeds",
+        ),
+        (replace(GOOD, drive_right=replace(DRIVE, t_s=SLOW)), "roboteq (right): newest speeds"),
+        (replace(GOOD, wheels_right=replace(WHEELS, speed_radps=(0.0, -45.0))), "wheels: turn at 430 rpm"),
+        (replace(GOOD, drive_left=replace(DRIVE, motor_current_a=(0.0, -31.0))), "motor current is 31.0 A"),
+        (replace(GOOD, drive_left=replace(DRIVE, controller_temperature_celsius=80.0)), "80 degrees Celsius"),
+        (
+            replace(GOOD, drive_left=replace(DRIVE, battery_v=19.9)),
+            "voltage is 19.9 V, the limit is 20",
+        ),
+    ],
+)
+def test_each_limit_names_value_limit_and_next_step(robot: RobotConfig, inputs: Inputs, words: str) -> None:
+    (problem,) = found(robot, inputs)
+    assert words in problem
+    assert problem.endswith(".")
+
+
+@pytest.mark.parametrize(("roll_deg", "is_over"), [(24.9, False), (25.1, True), (-25.1, True)])
+def test_tilt_is_limited_either_way(robot: RobotConfig, roll_deg: float, is_over: bool) -> None:
+    assert bool(found(robot, GOOD, replace(LEVEL, roll_rad=math.radians(roll_deg)))) == is_over
+    assert not found(robot, GOOD, Estimate(ready=False, roll_rad=math.radians(roll_deg)))
+
+
+@pytest.mark.parametrize("age_ms", [59, 61, 239, 241])
+def test_late_samples_hold_first_and_stop_when_they_stay_late(robot: RobotConfig, age_ms: int) -> None:
+    inputs = replace(GOOD, imu=replace(IMU, t_s=NOW_S - age_ms * 1e-3))
+    assert limits.is_late(robot.safety, inputs) == (age_ms > 60)
+    assert bool(found(robot, inputs, armed=False)) == (age_ms > 60)
+    assert bool(found(robot, inputs, armed=True)) == (age_ms > 240)
+
+
+def test_late_strokes_hold_too(robot: RobotConfig) -> None:
+    assert limits.is_late(robot.safety, replace(GOOD, strokes=None))
+    assert GOOD.strokes is not None
+    assert limits.is_late(robot.safety, replace(GOOD, strokes=replace(GOOD.strokes, t_s=NOW_S - 0.07)))
+
+
+def test_every_limit_has_words_for_a_person() -> None:
+    for limit in LIMITS:
+        assert "{" in limit.what
+        assert limit.next_step.endswith(".")
+
+
+# ------------------------------------------------------------------------------------------ reported faults
+
+
+def session(kind: BoardKind, faults: int, detail: int = 255) -> Session:
+    identity = HelloReply(1, 0, kind, 0, 1, 0, (1, 0, 0), 0, 0, 1, 1, 0, 0, 0, 1)
+    health = Health(0, BoardState.FAULT, faults, detail, 0, 0, 0, (0,) * 6, 0, 0, 0, 5000, 9)
+    return Session("/dev/x", 0, identity=identity, health=health)
+
+
+@pytest.mark.parametrize("fault", list(Fault))
+def test_every_fault_of_the_spec_is_said_with_its_remedy(fault: Fault) -> None:
+    kind = FAULT_INFO[fault].boards[0]
+    (problem,) = limits.board_faults(session(kind, 1 << fault))
+    assert (problem.text, problem.next_step) == (FAULT_INFO[fault].text, FAULT_INFO[fault].remedy)
+
+
+def test_the_corner_or_wheel_of_a_fault_is_named() -> None:
+    (jam,) = limits.board_faults(session(BoardKind.MEGA_SUSPENSION, 1 << Fault.JAM, detail=2))
+    assert jam.where == "mega_suspension, rear left"
+    (dead,) = limits.board_faults(session(BoardKind.MEGA_SPEED, 1 << Fault.ENCODER_DEAD, detail=1))
+    assert dead.where == "mega_speed (left), rear wheel"
+
+
+def test_a_fault_of_a_newer_board_is_said_by_number() -> None:
+    (problem,) = limits.board_faults(session(BoardKind.NANO_IMU, 1 << 31))
+    assert "fault 31, unknown to this program" in problem.text
+
+
+def test_a_roboteqs_faults_are_named_and_its_emergency_stop_is_none() -> None:
+    drive = Roboteq("roboteq (left)", "/dev/left", 150, 50.0)
+    drive.flags |= {"FF": FaultFlag.EMERGENCY_STOP.value, "FM1": MotorFlag.AMPS_LIMIT.value}
+    assert list(limits.drive_faults(drive)) == []
+    drive.flags |= {"FF": FaultFlag.SHORT_CIRCUIT | 1 << 9, "FM2": MotorFlag.STALLED.value}
+    texts = [problem.text for problem in limits.drive_faults(drive)]
+    assert texts == ["short circuit", "bit 9", "rear motor: stalled"]
+
+
+# ------------------------------------------------------------------------------------------ the IMU at rest
+
+
+def fed(robot: RobotConfig, sample: ImuSample, seconds: float = 4.0) -> RestCheck:
+    check = RestCheck(robot.safety)
+    for k in range(round(seconds * 100)):
+        check.add(replace(sample, t_s=k * 0.01))
+    return check
+
+
+def test_an_imu_that_reads_nothing_at_rest_is_good(robot: RobotConfig) -> None:
+    assert fed(robot, IMU).problem(IMU) is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (
+            {"rate_radps": (0.0, math.radians(0.12), 0.0)},
+            "0.12 degrees/s while nothing turns",
+        ),
+        ({"linear_accel_mps2": (0.0, 0.0, 0.06)}, "0.06 m/s2 while nothing moves, the limit is 0.05"),
+        ({"flags": 1 << ImuFlag.FILTER_READY}, "is not calibrated"),
+        ({"flags": 1 << ImuFlag.CALIBRATED}, "attitude has not settled"),
+    ],
+)
+def test_what_is_wrong_with_an_imu_at_rest_is_said(
+    robot: RobotConfig, changes: dict[str, object], words: str
+) -> None:
+    sample = replace(IMU, **changes)  # type: ignore[arg-type]
+    assert words in str(fed(robot, sample).problem(sample))
+
+
+def test_without_an_imu_nothing_is_armed(robot: RobotConfig) -> None:
+    problem = RestCheck(robot.safety).problem(None)
+    assert problem is not None
+    assert problem.kind is ProblemKind.NO_ANSWER
+
+
+# ------------------------------------------------------------------------------------------- rest calibration
+
+
+def raw(t_s: float, gyro: tuple[float, float, float], wobble: float = 0.0) -> ImuRawSample:
+    shake = wobble * math.sin(t_s * 40.0)
+    return ImuRawSample(t_s, (0.0, shake, 9.81), (gyro[0] + shake, gyro[1], gyro[2]), (0.0,) * 3)
+
+
+def collected(samples: list[ImuRawSample]) -> RestCalibration:
+    calibration = RestCalibration()
+    for sample in samples:
+        calibration.add(sample)
+    return calibration
+
+
+BIAS = (0.01, -0.015, 0.002)
+
+
+def test_the_mean_of_a_still_second_is_the_bias() -> None:
+    calibration = collected([raw(k * 0.01, BIAS) for k in range(120)])
+    assert calibration.bias() == pytest.approx(BIAS)
+
+
+@pytest.mark.parametrize(
+    "samples",
+    [
+        [raw(k * 0.01, BIAS) for k in range(60)],  # too short
+        [raw(k * 0.01, BIAS, wobble=0.5) for k in range(120)],  # moving
+        [raw(k * 0.01, (0.2, 0.0, 0.0)) for k in range(120)],  # turning steadily
+        [raw(k * 0.01, BIAS) for k in range(80)] + [raw(k * 0.01 + 5.0, BIAS) for k in range(20)],  # a gap
+    ],
+    ids=["too short", "moving", "turning", "gap"],
+)
+def test_anything_else_gives_no_bias(samples: list[ImuRawSample]) -> None:
+    assert collected(samples).bias() is None
+
+
+def test_the_bias_goes_to_the_nano_in_counts_and_marks_it_calibrated() -> None:
+    messages = bias_messages(BIAS)
+    assert [(m.node, m.value) for m in messages] == [(1, 10_000), (1, -15_000), (1, 2_000), (1, 1)]
