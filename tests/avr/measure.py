@@ -75,8 +75,8 @@ INTERRUPTS = {
         *MEGA_COMMON,
         Interrupt("front wheel, signal A", 5, 130),
         Interrupt("front wheel, signal B", 6, 130),
-        Interrupt("rear wheel, signal A", 3, 130),
-        Interrupt("rear wheel, signal B", 4, 130),
+        Interrupt("rear wheel, signal A", 4, 130),
+        Interrupt("rear wheel, signal B", 3, 130),
     ),
 }
 # Least stack never touched, most CPU beyond an idle main loop, longest turn of it.
@@ -128,7 +128,7 @@ def busy_speed() -> simulated.Host:
     assert host.arm().status == wire.AckStatus.OK
     board.clear_statistics()
     states = ((0, 0), (1, 0), (1, 1), (0, 1))
-    pins = (("E4", "E5"), ("D2", "D3"))
+    pins = (("E4", "E5"), ("D3", "D2"))
     count = 0
     for rate_hz in (3200, 1200):
         begin, events = board.cycle + 1000, []

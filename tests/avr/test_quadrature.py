@@ -11,7 +11,7 @@ from tiger.protocol import messages as wire
 pytestmark = pytest.mark.avr
 
 HZ = 16_000_000
-PINS = (("E4", "E5"), ("D2", "D3"))  # A and B of the front and the rear wheel
+PINS = (("E4", "E5"), ("D3", "D2"))  # A and B of the front and the rear wheel
 STATES = ((0, 0), (1, 0), (1, 1), (0, 1))  # A leads B
 INT2, INT3, INT4, INT5 = 3, 4, 5, 6
 ISR_BUDGET_CYCLES = 130

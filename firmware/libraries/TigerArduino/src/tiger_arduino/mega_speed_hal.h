@@ -56,14 +56,16 @@ class MegaSpeedHal : public HalCommon {
     return snapshot;
   }
 
-  // The state of the two signals: A in bit 0, B in bit 1.
+  // The states of the two signals in an order that the decoder takes for A in bit 0, B in bit 1.
   static uint8_t front_pins() {
     static_assert(speed_pins::kFrontShiftPortE == 4, "a swap of nibbles is the shift");
     return __builtin_avr_swap(PINE) & 3;
   }
+  // Here A is the upper of the two bits. Exchanging the signals turns the order of the states round, inverting one of
+  // them turns it back.
   static uint8_t rear_pins() {
     const uint8_t pins = PIND;
-    return static_cast<uint8_t>(pins >> speed_pins::kRearShiftPortD) & 3;
+    return (static_cast<uint8_t>(pins >> speed_pins::kRearShiftPortD) & 3) ^ 1;
   }
 
  private:

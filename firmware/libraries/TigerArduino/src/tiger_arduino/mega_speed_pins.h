@@ -8,7 +8,7 @@ namespace tiger {
 namespace arduino {
 namespace speed_pins {
 
-// Front wheel: A on D2 (PE4, INT4), B on D3 (PE5, INT5). Rear wheel: A on D19 (PD2, INT2), B on D18 (PD3, INT3).
+// Front wheel: A on D2 (PE4, INT4), B on D3 (PE5, INT5). Rear wheel: A on D18 (PD3, INT3), B on D19 (PD2, INT2).
 // A leads B when the wheel turns forwards; swap the two wires where it does not.
 constexpr uint8_t kFrontShiftPortE = 4;
 constexpr uint8_t kRearShiftPortD = 2;
