@@ -64,8 +64,9 @@ class MegaSpeedHal : public HalCommon {
   // Here A is the upper of the two bits. Exchanging the signals turns the order of the states round, inverting one of
   // them turns it back.
   static uint8_t rear_pins() {
-    const uint8_t pins = PIND;
-    return (static_cast<uint8_t>(pins >> speed_pins::kRearShiftPortD) & 3) ^ 1;
+    uint8_t pins = PIND;
+    pins = static_cast<uint8_t>(pins >> speed_pins::kRearShiftPortD);
+    return static_cast<uint8_t>((pins & 3) ^ 1);
   }
 
  private:
