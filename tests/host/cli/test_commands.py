@@ -1,0 +1,245 @@
+"""The commands: quick to answer, one clear message for what is wrong, figures where they are asked for."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from tiger.cli import doctor
+from tiger.cli.main import COMMANDS, app
+from tiger.protocol.frame import encode_message
+from tiger.protocol.messages import BoardState, Fault, Health, SuspensionSetpoint, SuspensionState
+
+
+def tiger(*words: str, monkeypatch: pytest.MonkeyPatch) -> Result:
+    monkeypatch.setattr(sys, "argv", ["tiger", *words])
+    return CliRunner().invoke(app, list(words))
+
+
+def test_help_lists_every_command_in_less_than_0_4_seconds() -> None:
+    best_s = 9.9
+    for _ in range(5):
+        start_s = time.perf_counter()
+        result = subprocess.run(
+            [sys.executable, "-m", "tiger.cli.main", "--help"], capture_output=True, text=True, check=True
+        )
+        best_s = min(best_s, time.perf_counter() - start_s)
+    assert all(name in result.stdout for name in COMMANDS)
+    assert best_s < 0.4
+
+
+def test_help_imports_nothing_heavy() -> None:
+    script = (
+        "import sys; sys.argv = ['tiger', '--help']\n"
+        "from tiger.cli.main import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numpy', 'scipy', 'control', 'numba', 'matplotlib', 'pydantic', 'rich'}\n"
+        "heavy &= sys.modules.keys()\n"
+        "sys.exit(str(heavy) if heavy else 0)"
+    )
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize("name", list(COMMANDS))
+def test_every_command_explains_itself(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = tiger(name, "--help", monkeypatch=monkeypatch)
+    assert result.exit_code == 0
+    assert "Usage" in result.output
+
+
+def test_an_unknown_command_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = tiger("fly", monkeypatch=monkeypatch)
+    assert result.exit_code == 2
+    assert "fly" in result.output
+
+
+# -------------------------------------------------------------------------------------------------------- run
+
+
+def test_a_run_in_virtual_time_arms_and_writes_its_figures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "out.json"
+    words = ["run", "--emulate", "shaking-plate", "--virtual-time", "--duration", "5", "--json", str(file)]
+    result = tiger(*words, monkeypatch=monkeypatch)
+    assert result.exit_code == 0, result.output
+    assert "ARMED" in result.output
+    assert result.output.strip().splitlines()[-1].startswith("Armed from 3.")
+    report = json.loads(file.read_text())
+    series = report["series"]
+    lengths = {name: len(values) for name, values in series.items()}
+    assert set(lengths.values()) == {500}, lengths
+    assert list(series) == [
+        *("time_s", "roll_true_deg", "pitch_true_deg", "roll_est_deg", "pitch_est_deg"),
+        *("stroke_mm", "rate_cmd_mmps"),
+    ]
+    assert series["time_s"][-1] == pytest.approx(5.0, abs=0.02)
+    assert len(series["stroke_mm"][-1]) == len(series["rate_cmd_mmps"][-1]) == 4
+    assert series["stroke_mm"][-1] == pytest.approx([35.0] * 4, abs=0.2)
+    assert series["roll_true_deg"][-1] == pytest.approx(0.0, abs=0.1)
+    assert report["summary"]["state"] == "ARMED"
+    assert report["summary"]["stops"] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[loop]\nrate_hz = 'fast'\n", ["loop.rate_hz", "'fast'"]),
+        ("[ports]\nroboteq_lefft = '/dev/x'\n", ["ports.roboteq_lefft", "not a known key"]),
+        ("[leveling]\nsettle_deg = 3.0\n", ["leveling", "settle_deg = 3.0"]),
+        ("rate = = 3\n", ["not valid TOML"]),
+    ],
+)
+def test_a_wrong_robot_toml_names_its_key_and_nothing_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, words: list[str]
+) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text(text)
+    result = tiger("run", "--config", str(file), "--emulate", "shaking-plate", monkeypatch=monkeypatch)
+    assert result.exit_code == 2
+    assert "Traceback" not in result.output
+    assert all(word in result.output for word in [*words, "robot.toml"])
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--virtual-time"], "--virtual-time needs --emulate SCENARIO"),
+        (["--emulate", "no-such-place", "--virtual-time"], "no-such-place"),
+        (["--config", "/no/such/robot.toml"], "/no/such/robot.toml: cannot be read"),
+    ],
+)
+def test_a_wrong_wish_is_answered_in_one_message(
+    words: list[str], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = tiger("run", *words, monkeypatch=monkeypatch)
+    assert result.exit_code == 2
+    assert message in result.output
+    assert "Traceback" not in result.output
+
+
+def test_a_robot_that_is_not_there_is_described_and_fails_only_if_it_should_have_armed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text(
+        f'[ports]\nboards = ["{tmp_path}/board-*"]\n'
+        f'roboteq_left = "{tmp_path}/l"\nroboteq_right = "{tmp_path}/r"\n'
+    )
+    words = ["run", "--config", str(file), "--duration", "0.3"]
+    watched = tiger(*words, monkeypatch=monkeypatch)
+    assert watched.exit_code == 0
+    assert watched.output.strip().splitlines()[-1].startswith("Never armed: disconnected")
+    assert f"{tmp_path}/l: is not there" in watched.output
+    assert tiger(*words, "--arm", monkeypatch=monkeypatch).exit_code == 1
+
+
+@pytest.mark.realtime
+@pytest.mark.timeout(180)
+def test_a_run_over_pseudo_terminals_arms_in_real_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "out.json"
+    words = ["run", "--emulate", "shaking-plate", "--duration", "20", "--json", str(file)]
+    result = tiger(*words, monkeypatch=monkeypatch)
+    assert result.exit_code == 0, result.output
+    summary = json.loads(file.read_text())["summary"]
+    assert summary["state"] == "ARMED"
+    assert summary["lateness_us"]["ticks"] > 500
+    assert "late by" in result.output
+
+
+# --------------------------------------------------------------------------------------------------- protocol
+
+STATE = SuspensionState(7, (35.0,) * 4, (0.0,) * 4, (0,) * 4, 1 << 13 | 1 << 9, BoardState.ARMED, 4)
+HEALTH = Health(1, BoardState.FAULT, 1 << Fault.IMU_BUS, 255, 1, 2, 0, (0, 0, 0, 0, 3, 0), 0, 0, 9, 5000, 8)
+
+
+def test_a_frame_is_decoded_to_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = tiger("protocol", "frame", encode_message(STATE, 9).hex(" "), monkeypatch=monkeypatch)
+    assert result.exit_code == 0
+    assert "suspension_state (id 0x21), seq 9, node 0" in result.output
+    assert "stroke_mm = 35 35 35 35" in result.output
+    assert "DRIVE_ON+1, NEUTRAL_SEEN" in result.output
+    assert "state = ARMED" in result.output
+
+
+def test_a_capture_is_decoded_frame_by_frame_and_damage_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    damaged = bytearray(encode_message(STATE, 3))
+    damaged[8] ^= 4
+    setpoint = SuspensionSetpoint(5, 1, (1.5, 0.0, 0.0, -1.5))
+    file = tmp_path / "line.bin"
+    file.write_bytes(b"boot\r\n" + encode_message(HEALTH, 1) + bytes(damaged) + encode_message(setpoint, 2))
+    result = tiger("protocol", "capture", str(file), monkeypatch=monkeypatch)
+    assert result.exit_code == 0
+    assert "seq   1 node 1 health" in result.output
+    assert "IMU_BUS" in result.output
+    assert "CRC 3" in result.output
+    assert "rate_mmps = 1.5 0 0 -1.5" in result.output
+    assert "refused (DECODE 1, CRC 1)" in result.output
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (["frame", "zz"], 2, "is not a row of hexadecimal bytes"),
+        (["frame", "00010200"], 1, "no valid frame"),
+        (["capture", "/no/such/file"], 2, "cannot be read"),
+    ],
+)
+def test_what_is_no_frame_is_said(
+    words: list[str], code: int, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = tiger("protocol", *words, monkeypatch=monkeypatch)
+    assert result.exit_code == code
+    assert message in result.output
+
+
+# ----------------------------------------------------------------------------------------------------- doctor
+
+
+def test_the_doctor_names_what_is_missing_with_the_next_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = tiger("doctor", monkeypatch=monkeypatch)
+    assert "crcmod" in result.output
+    assert "SCHED_FIFO" in result.output
+    if "BAD" in result.output:
+        assert result.exit_code == 1
+
+
+def test_a_slow_latency_timer_and_a_modem_manager_are_found(tmp_path: Path) -> None:
+    device = tmp_path / "bus/usb-serial/devices/ttyUSB0"
+    device.mkdir(parents=True)
+    (device / "latency_timer").write_text("16\n")
+    (slow,) = doctor._latency_timers(tmp_path)
+    assert slow.grade is doctor.Grade.NOTE
+    assert "ttyUSB0 hands bytes over after 16 ms" in slow.what
+    (device / "latency_timer").write_text("1\n")
+    (quick,) = doctor._latency_timers(tmp_path)
+    assert quick.grade is doctor.Grade.GOOD
+    (tmp_path / "123").mkdir()
+    (tmp_path / "123" / "comm").write_text("ModemManager\n")
+    (found,) = doctor._disturbers(tmp_path)
+    assert found.grade is doctor.Grade.BAD
+
+
+def test_pure_python_codecs_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "_has_module", lambda name: False)
+    findings = {finding.what: finding for finding in doctor._software()}
+    slow = findings["crcmod runs in pure Python, 25 to 50 times slower"]
+    assert slow.grade is doctor.Grade.BAD
+    assert "--force-reinstall crcmod" in slow.next_step
+
+
+def test_a_port_that_is_a_file_is_no_port(tmp_path: Path) -> None:
+    (tmp_path / "x").touch()
+    assert "is no serial device" in doctor._port(str(tmp_path / "x"), "a board").what
