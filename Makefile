@@ -46,10 +46,10 @@ $(VENV)/.installed: pyproject.toml constraints.txt setup.py | system-host
 	  --editable '.[sim,mpc,cluster,logs,dev]'
 	@touch $@ $(VENV)/.native
 
-# The boards on virtual pins: compiled again whenever a firmware source changes.
+# The boards on virtual pins: compiled again whenever a firmware source changes (the install has just done it once).
 $(VENV)/.native: $(VENV)/.installed $(NATIVE_SOURCES) host/tiger/native/build.py
-	@echo "Compiling the native boards"
-	@$(BIN)/python host/tiger/native/build.py
+	@if [ -n "$$(find $? -newer $@ 2>/dev/null)" ] || [ ! -e $@ ]; then \
+	  echo "Compiling the native boards" && $(BIN)/python host/tiger/native/build.py >/dev/null; fi
 	@touch $@
 
 # ------------------------------------------------------------------------------------------------------- use

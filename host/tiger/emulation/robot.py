@@ -106,7 +106,6 @@ class EmulatedRobot:
         self._broken_pots: dict[int, float] = {}  # corner -> counts its input shows
         self._stuck_pots: set[int] = set()
         self._counts = [0.0] * 4
-        self._phase: tuple[float, ...] = ()
         self._steps = 0
         self._failures = self._table_of_failures()
         self._plan = self._planned_failures(scenario.fault)
@@ -159,9 +158,8 @@ class EmulatedRobot:
             self.imu.set_inputs(
                 reading.accel_mps2.tolist(), reading.gyro_radps.tolist(), reading.mag_ut.tolist()
             )
-        phase = world.tooth_phase
-        if phase != self._phase:
-            self._phase = phase
+        if self._steps == 0 or not world.wheels_stand:
+            phase = world.tooth_phase
             for side, (front, rear) in SIDES.items():
                 self.speed[side].set_wheel(0, phase[front])
                 self.speed[side].set_wheel(1, phase[rear])

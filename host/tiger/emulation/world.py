@@ -173,6 +173,11 @@ class World:
         return a, b, c, d
 
     @property
+    def wheels_stand(self) -> bool:
+        """No wheel turns."""
+        return not any(self._wheel_radps)
+
+    @property
     def wheel_speed_rpm(self) -> Four:
         """True wheel speeds."""
         a, b, c, d = (speed * (30.0 / pi) for speed in self._wheel_radps)
