@@ -36,15 +36,9 @@ class NanoImu : public BoardHooks {
 
   void poll() {
     const uint32_t now_us = hal_.micros();
-    link_.poll(now_us);
-    ImuReading reading;
-    if (sensor_.poll(now_us, reading)) {
-      sampled_us_ = now_us;
-      take(reading);
-      report(now_us);
-    }
+    talk(now_us);
+    measure(now_us);
     watch_sensor();
-    if (raw_pending_ && link_.send(raw_)) raw_pending_ = false;
     if (task_.due(now_us)) {
       if (now_us - sampled_us_ > nano_imu_config::kLateUs) report_stale(now_us);
       link_.task_done(task_, now_us);
@@ -89,30 +83,32 @@ class NanoImu : public BoardHooks {
   }
 
   // Physical value to counts of the wire, held inside its limits.
-  static int16_t counts(float value, float per_unit, int16_t limit) {
+  TIGER_OUTLINE static int16_t counts(float value, float per_unit, int16_t limit) {
     const float x = value * per_unit;
-    if (x >= limit) return limit;
-    if (x <= -static_cast<float>(limit)) return static_cast<int16_t>(-limit);
-    return static_cast<int16_t>(x < 0.0f ? x - 0.5f : x + 0.5f);
+    const int32_t n = static_cast<int32_t>(x < 0.0f ? x - 0.5f : x + 0.5f);
+    return n > limit ? limit : static_cast<int16_t>(n < -limit ? -limit : n);
   }
 
   // Three counts of a packed message are written and read as bytes: they need not be aligned.
-  static void put(void* out, const fusion::Vec3& v, float per_unit, int16_t limit) {
+  TIGER_OUTLINE static void put(void* out, const fusion::Vec3& v, float per_unit, int16_t limit) {
     const int16_t c[3] = {counts(v.x, per_unit, limit), counts(v.y, per_unit, limit),
                           counts(v.z, per_unit, limit)};
     memcpy(out, c, sizeof(c));
   }
 
-  static fusion::Vec3 as_vec(const void* counts_of_three) {
+  TIGER_OUTLINE static fusion::Vec3 as_vec(const void* counts_of_three) {
     int16_t c[3];
     memcpy(c, counts_of_three, sizeof(c));
     return fusion::Vec3{static_cast<float>(c[0]), static_cast<float>(c[1]), static_cast<float>(c[2])};
   }
 
   // Register counts to counts of imu_raw, which have the same scales: only turned into the robot's axes.
-  void turn(const int16_t* sensor, int16_t limit, void* body) const {
-    const fusion::Vec3 v = as_vec(sensor);
-    put(body, is_turned_ ? mounting_ * v : v, 1.0f, limit);
+  TIGER_OUTLINE void turn(const int16_t* sensor, int16_t limit, void* body) const {
+    if (is_turned_) {
+      put(body, mounting_ * as_vec(sensor), 1.0f, limit);
+    } else {
+      memcpy(body, sensor, 3 * sizeof(*sensor));
+    }
   }
 
   void set_flag(uint8_t bit, bool on) {
@@ -120,9 +116,24 @@ class NanoImu : public BoardHooks {
     flags_ = static_cast<uint16_t>(on ? flags_ | mask : flags_ & ~mask);
   }
 
+  // ---- the two halves of a turn, apart so that their stack frames do not add up
+
+  TIGER_OUTLINE void talk(uint32_t now_us) {
+    link_.poll(now_us);
+    if (raw_pending_ && link_.send(raw_)) raw_pending_ = false;
+  }
+
+  TIGER_OUTLINE void measure(uint32_t now_us) {
+    ImuReading reading;
+    if (!sensor_.poll(now_us, reading)) return;
+    sampled_us_ = now_us;
+    take(reading);
+    report(now_us);
+  }
+
   // ---- one sample
 
-  void take(const ImuReading& reading) {
+  TIGER_OUTLINE void take(const ImuReading& reading) {
     using namespace wire;
     const ImuVerdict& verdict = reading.verdict;
     raw_.t_us = reading.t_us;
@@ -139,11 +150,16 @@ class NanoImu : public BoardHooks {
     set_flag(kImuFlagMagFresh, verdict.mag_fresh);
     set_flag(kImuFlagSaturated, verdict.saturated);
     set_flag(kImuFlagStale, verdict.repeated);
-    if (verdict.gyro_ok) fuse(reading);
+    if (!verdict.gyro_ok) return;
+    fusion::Vec3 accel_mps2;
+    fuse(reading, accel_mps2);
+    filter_.think();
+    describe_attitude();
+    describe_acceleration(accel_mps2);
   }
 
   // Without a usable rate nothing is done: the next good sample bridges the gap, or starts anew after it.
-  void fuse(const ImuReading& reading) {
+  TIGER_OUTLINE void fuse(const ImuReading& reading, fusion::Vec3& accel_mps2) {
     using namespace fusion;
     const ImuVerdict& verdict = reading.verdict;
     const uint32_t since_us = reading.t_us - fused_us_;
@@ -156,53 +172,54 @@ class NanoImu : public BoardHooks {
     fused_us_ = reading.t_us;
     has_fused_ = true;
 
-    const Vec3 accel = as_vec(raw_.accel_mps2);
-    const Vec3 accel_mps2 = {accel_scale_.x * (wire::ImuRaw::kAccelMps2Scale * accel.x - accel_offset_.x),
-                             accel_scale_.y * (wire::ImuRaw::kAccelMps2Scale * accel.y - accel_offset_.y),
-                             accel_scale_.z * (wire::ImuRaw::kAccelMps2Scale * accel.z - accel_offset_.z)};
-    const Vec3 gyro_radps = wire::ImuRaw::kGyroRadpsScale * as_vec(raw_.gyro_radps) - gyro_bias_;
-    filter_.step(ImuSample{gyro_radps, accel_mps2, Vec3{0.0f, 0.0f, 0.0f}, verdict.accel_ok, may_rest()},
-                 bridged ? 1e-6f * static_cast<float>(since_us) : 0.0f);
+    ImuSample sample;
+    calibrate(sample);
+    sample.accel_usable = verdict.accel_ok;
+    sample.may_rest = true;
+    filter_.sense(sample, bridged ? 1e-6f * static_cast<float>(since_us) : 0.0f);
     if (verdict.mag_fresh && verdict.mag_ok) {
       filter_.add_magnetometer(wire::ImuRaw::kMagUtScale * as_vec(raw_.mag_ut));
     }
     if (verdict.accel_ok && settled_ < nano_imu_config::kSettleSamples) settled_++;
-    describe(accel_mps2);
+    accel_mps2 = sample.accel_mps2;
   }
 
-  // The body turns slowly and steadily while it levels itself, which looks like rest with a larger bias. Once the
-  // bias is known, such a turn is told from rest by its rate.
-  bool may_rest() const {
-    const fusion::Vec3 rate = filter_.mean_rate_radps();
-    constexpr float kMost2 = nano_imu_config::kRestRateRadps * nano_imu_config::kRestRateRadps;
-    return !is_calibrated_ || fusion::dot(rate, rate) < kMost2;
-  }
-
-  void describe(const fusion::Vec3& accel_mps2) {
+  TIGER_OUTLINE void calibrate(fusion::ImuSample& sample) const {
     using namespace fusion;
+    const Vec3 accel = wire::ImuRaw::kAccelMps2Scale * as_vec(raw_.accel_mps2) - accel_offset_;
+    sample.accel_mps2 = Vec3{accel_scale_.x * accel.x, accel_scale_.y * accel.y, accel_scale_.z * accel.z};
+    sample.gyro_radps = wire::ImuRaw::kGyroRadpsScale * as_vec(raw_.gyro_radps) - gyro_bias_;
+    sample.vehicle_accel_mps2 = Vec3{0.0f, 0.0f, 0.0f};
+  }
+
+  TIGER_OUTLINE void describe_attitude() {
     using wire::ImuAttitude;
-    const Quat q = filter_.attitude();
+    const fusion::Quat q = filter_.attitude();
     constexpr int16_t kUnit = ImuAttitude::kQuaternionMax;
     attitude_.quaternion[0] = counts(q.w, kUnit, kUnit);
-    attitude_.quaternion[1] = counts(q.v.x, kUnit, kUnit);
-    attitude_.quaternion[2] = counts(q.v.y, kUnit, kUnit);
-    attitude_.quaternion[3] = counts(q.v.z, kUnit, kUnit);
-    const Vec3& rate = filter_.rate_radps();
+    put(attitude_.quaternion + 1, q.v, kUnit, kUnit);
+    const fusion::Vec3& rate = filter_.rate_radps();
     put(attitude_.rate_radps, rate, 1.0f / ImuAttitude::kRateRadpsScale, ImuAttitude::kRateRadpsMax);
+  }
 
+  TIGER_OUTLINE void describe_acceleration(const fusion::Vec3& accel_mps2) {
+    using namespace fusion;
+    using wire::ImuAttitude;
+    const Vec3& rate = filter_.rate_radps();
     float smooth[3] = {rate.x, rate.y, rate.z};
     float steps[3];
     turning_.update(nano_imu_config::kAngularAccel, smooth, smooth, steps);
     constexpr float kPerStep = 2.0f / nano_imu_config::kTickS / ImuAttitude::kAngularAccelRadps2Scale;
     put(attitude_.angular_accel_radps2, Vec3{steps[0], steps[1], steps[2]}, kPerStep,
         ImuAttitude::kAngularAccelRadps2Max);
-    put(attitude_.linear_accel_mps2, accel_mps2 - rotate(conjugate(q), Vec3{0.0f, 0.0f, kGravityMps2}),
-        1.0f / ImuAttitude::kLinearAccelMps2Scale, ImuAttitude::kLinearAccelMps2Max);
+    const Vec3 gravity = rotate(conjugate(filter_.attitude()), Vec3{0.0f, 0.0f, kGravityMps2});
+    put(attitude_.linear_accel_mps2, accel_mps2 - gravity, 1.0f / ImuAttitude::kLinearAccelMps2Scale,
+        ImuAttitude::kLinearAccelMps2Max);
   }
 
   // ---- what is sent
 
-  void report(uint32_t now_us) {
+  TIGER_OUTLINE void report(uint32_t now_us) {
     using namespace wire;
     set_flag(kImuFlagFilterReady, settled_ >= nano_imu_config::kSettleSamples);
     set_flag(kImuFlagRest, filter_.resting());
@@ -216,7 +233,7 @@ class NanoImu : public BoardHooks {
     raw_pending_ = true;  // goes in a turn in which there is room for it
   }
 
-  void report_stale(uint32_t now_us) {
+  TIGER_OUTLINE void report_stale(uint32_t now_us) {
     using namespace wire;
     set_flag(kImuFlagStale, true);
     set_flag(kImuFlagMagFresh, false);
@@ -225,7 +242,7 @@ class NanoImu : public BoardHooks {
     report(now_us);
   }
 
-  void watch_sensor() {
+  TIGER_OUTLINE void watch_sensor() {
     switch (sensor_.fault()) {
       case ImuFault::None:
         break;

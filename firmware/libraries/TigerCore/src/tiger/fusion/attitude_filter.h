@@ -17,6 +17,7 @@
 
 #include <stdint.h>
 
+#include "flash.h"
 #include "gyro_bias.h"
 #include "heading.h"
 #include "low_pass.h"
@@ -71,7 +72,7 @@ struct ImuSample {
 
 class AttitudeFilter {
  public:
-  // `gains` must outlive the filter.
+  // `gains` must outlive the filter, and be declared TIGER_FLASH on the AVR.
   explicit AttitudeFilter(const AttitudeGains& gains) : gains_(gains) { reset(); }
 
   void reset() {
@@ -83,23 +84,34 @@ class AttitudeFilter {
     up_ = Vec3{0.0f, 0.0f, 0.0f};
     tilt_x_ = tilt_y_ = 0.0f;
     phase_ = bias_pause_ = 0;
-    mag_waiting_ = started_ = walking_ = false;
+    mag_waiting_ = started_ = walking_ = has_up_ = false;
   }
 
   void start_bias_from(const Vec3& bias_radps) { bias_.start_from(bias_radps); }
 
-  // One tick. `dt_s` is the time since the sample before; call it with zero for a sample that follows a gap
-  // too long to bridge: the attitude is then held across the gap.
+  // One tick: step(), or its two halves, for those who must spare the stack. `dt_s` is the time since the sample
+  // before; zero for a sample that follows a gap too long to bridge: the attitude is then held across the gap.
   void step(const ImuSample& sample, float dt_s) {
+    sense(sample, dt_s);
+    think();
+  }
+
+  TIGER_OUTLINE void sense(const ImuSample& sample, float dt_s) {
     rest_.step(gains_.rest, sample.gyro_radps, sample.accel_mps2, sample.may_rest);
-    integrate(sample.gyro_radps - bias_.value(), dt_s);
-    if (sample.accel_usable) average(sample.accel_mps2 - sample.vehicle_accel_mps2);
-    const uint8_t quarter = gains_.slow_every / 4;
-    if (phase_ == 0) correct_inclination();
+    integrate(sample.gyro_radps, dt_s);
+    has_up_ = sample.accel_usable;
+    if (has_up_) average(sample);
+  }
+
+  // This tick's quarter of the slow work.
+  TIGER_OUTLINE void think() {
+    const uint8_t slow_every = load(gains_.slow_every);
+    const uint8_t quarter = slow_every / 4;
+    if (phase_ == 0 && has_up_) correct_inclination();
     if (phase_ == quarter && mag_waiting_) update_heading();
-    if (phase_ == 2 * quarter) bias_.track(gains_.bias, matrix(inclination_ * inertial_));
+    if (phase_ == 2 * quarter) bias_.track(gains_.bias, inclination_ * inertial_);
     if (phase_ == 3 * quarter) update_bias();
-    if (++phase_ >= gains_.slow_every) phase_ = 0;
+    if (++phase_ >= slow_every) phase_ = 0;
   }
 
   // Call before the first sample after a gap. The body may have turned meanwhile: gravity is averaged afresh and
@@ -107,11 +119,11 @@ class AttitudeFilter {
   void resume() {
     accel_low_pass_.reset();
     walking_ = true;
-    bias_pause_ = gains_.bias_pause;
+    bias_pause_ = load(gains_.bias_pause);
   }
 
   // A new magnetometer sample, of the instant of the latest step.
-  void add_magnetometer(const Vec3& field_ut) {
+  TIGER_OUTLINE void add_magnetometer(const Vec3& field_ut) {
     field_ = rotate(inertial_, field_ut);
     mag_waiting_ = true;
   }
@@ -131,7 +143,8 @@ class AttitudeFilter {
  private:
   // The rate is held over the tick, which leads the sample by half a tick: about the delay of the sensor's own
   // low-pass (5 ms at 47 Hz). The second term is what a turning axis adds within a tick (coning).
-  void integrate(const Vec3& rate, float dt_s) {
+  TIGER_OUTLINE void integrate(const Vec3& gyro, float dt_s) {
+    const Vec3 rate = gyro - bias_.value();
     if (!started_) {
       rate_ = rate;
       started_ = true;
@@ -141,8 +154,8 @@ class AttitudeFilter {
     inertial_ = inertial_ * small_turn(angle);
   }
 
-  void average(const Vec3& accel) {
-    const Vec3 a = rotate(inertial_, accel);
+  TIGER_OUTLINE void average(const ImuSample& sample) {
+    const Vec3 a = rotate(inertial_, sample.accel_mps2 - sample.vehicle_accel_mps2);
     const float in[3] = {a.x, a.y, a.z};
     float out[3];
     accel_low_pass_.update(gains_.accel, in, out);
@@ -150,7 +163,7 @@ class AttitudeFilter {
   }
 
   // The shortest turn that makes the averaged specific force point up.
-  void correct_inclination() {
+  TIGER_OUTLINE void correct_inclination() {
     inertial_ = renormalised(inertial_);
     const Vec3 up = rotate(inclination_, up_);
     const float norm = sqrtf(dot(up, up));
@@ -158,16 +171,15 @@ class AttitudeFilter {
     const float scale = 1.0f / norm;
     tilt_x_ = scale * up.x;
     tilt_y_ = scale * up.y;
-    if (walking_ && limit_tilt()) {
-      inclination_ = normalised(Quat{1.0f, {0.5f * tilt_y_, -0.5f * tilt_x_, 0.0f}} * inclination_);
-      combine();
-      return;
-    }
-    const float w = sqrtf(0.5f * (scale * up.z + 1.0f));
-    const Quat half_way = {w, {0.5f * tilt_y_ / w, -0.5f * tilt_x_ / w, 0.0f}};
-    const Quat turn = w > 1e-3f ? half_way : Quat{0.0f, {1.0f, 0.0f, 0.0f}};
-    inclination_ = renormalised(turn * inclination_);
+    inclination_ = normalised(turn_upright(scale * up.z) * inclination_);
     combine();
+  }
+
+  // The turn that takes (tilt_x_, tilt_y_, up_z) upright, or one step of the walk towards it; any length.
+  Quat turn_upright(float up_z) {
+    const float twice = walking_ && limit_tilt() ? 2.0f : 1.0f + up_z;
+    if (twice > 1e-6f) return Quat{twice, {tilt_y_, -tilt_x_, 0.0f}};
+    return Quat{0.0f, {1.0f, 0.0f, 0.0f}};  // upside down: about any horizontal axis
   }
 
   // Shortens the tilt to one step of the walk; false when it was that short already: the walk has arrived.
@@ -181,7 +193,7 @@ class AttitudeFilter {
     return true;
   }
 
-  void update_bias() {
+  TIGER_OUTLINE void update_bias() {
     if (rest_.resting()) {
       bias_.update_at_rest(gains_.bias, rest_.gyro_mean());
     } else if (bias_pause_ > 0) {
@@ -191,15 +203,15 @@ class AttitudeFilter {
     }
   }
 
-  void update_heading() {
+  TIGER_OUTLINE void update_heading() {
     heading_.step(gains_.heading, rotate(inclination_, field_), rest_.gyro_mean());
-    bias_.see_heading(heading_.shows_drift(), heading_.correction_rad() * gains_.heading.updates_per_s,
-                      gains_.heading.share);
+    bias_.see_heading(heading_.shows_drift(), heading_.correction_rad() * load(gains_.heading.updates_per_s),
+                      load(gains_.heading.share));
     mag_waiting_ = false;
     combine();
   }
 
-  void combine() {
+  TIGER_OUTLINE void combine() {
     const float half = 0.5f * heading_.angle();
     earth_ = Quat{cosf(half), {0.0f, 0.0f, sinf(half)}} * inclination_;
   }
@@ -219,7 +231,7 @@ class AttitudeFilter {
   GyroBias bias_;
   Heading heading_;
   uint8_t phase_, bias_pause_;
-  bool mag_waiting_, started_, walking_;
+  bool mag_waiting_, started_, walking_, has_up_;
 };
 
 }  // namespace fusion

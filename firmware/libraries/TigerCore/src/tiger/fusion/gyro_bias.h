@@ -10,6 +10,7 @@
 
 #include <string.h>
 
+#include "flash.h"
 #include "low_pass.h"
 #include "rotation.h"
 
@@ -59,13 +60,14 @@ constexpr BiasGains bias_gains(const BiasTuning& t, float tau_s, float period_s)
 class GyroBias {
  public:
   void reset(const BiasGains& gains) {
+    const float variance = load(gains.variance_init);
     bias_ = Vec3{0.0f, 0.0f, 0.0f};
     lag_.reset();
     vertical_ = vertical_lag_ = 0.0f;
     sees_vertical_ = false;
-    covariance_[0] = Vec3{gains.variance_init, 0.0f, 0.0f};
-    covariance_[1] = Vec3{0.0f, gains.variance_init, 0.0f};
-    covariance_[2] = Vec3{0.0f, 0.0f, gains.variance_init};
+    covariance_[0] = Vec3{variance, 0.0f, 0.0f};
+    covariance_[1] = Vec3{0.0f, variance, 0.0f};
+    covariance_[2] = Vec3{0.0f, 0.0f, variance};
   }
 
   void start_from(const Vec3& bias) { bias_ = bias; }
@@ -73,11 +75,16 @@ class GyroBias {
 
   // The accelerometer sees a tilt error late, through its low-pass: the rotation and the bias already taken out
   // must pass through the same filter to be comparable. Once before every update.
-  void track(const BiasGains& gains, const Mat3& body_to_inclined) {
-    memcpy(lagged_, &body_to_inclined, sizeof(body_to_inclined));
-    lagged_[9] = dot(body_to_inclined.row[0], bias_);
-    lagged_[10] = dot(body_to_inclined.row[1], bias_);
-    lag_.update(gains.lag, lagged_, lagged_);
+  TIGER_OUTLINE void track(const BiasGains& gains, const Quat& body_to_inclined) {
+    struct {
+      Mat3 rotation;
+      float bias[2];
+    } now = {matrix(body_to_inclined), {}};
+    static_assert(sizeof(now) == kLagged * sizeof(float), "a row of floats");
+    now.bias[0] = dot(now.rotation.row[0], bias_);
+    now.bias[1] = dot(now.rotation.row[1], bias_);
+    float* const floats = reinterpret_cast<float*>(&now);
+    lag_.update(gains.lag, floats, floats);
   }
 
   // The heading, a first-order follower of the field by `share` a step, was corrected at this rate. What it shows
@@ -89,51 +96,54 @@ class GyroBias {
   }
 
   // Rest: `mean_rate` is a measurement of the bias.
-  void update_at_rest(const BiasGains& gains, const Vec3& mean_rate) {
+  TIGER_OUTLINE void update_at_rest(const BiasGains& gains, const Vec3& mean_rate) {
     grow(gains);
-    absorb(gains, Vec3{1.0f, 0.0f, 0.0f}, mean_rate.x, gains.noise_rest);
-    absorb(gains, Vec3{0.0f, 1.0f, 0.0f}, mean_rate.y, gains.noise_rest);
-    absorb(gains, Vec3{0.0f, 0.0f, 1.0f}, mean_rate.z, gains.noise_rest);
+    absorb(gains, Vec3{1.0f, 0.0f, 0.0f}, mean_rate.x, load(gains.noise_rest));
+    absorb(gains, Vec3{0.0f, 1.0f, 0.0f}, mean_rate.y, load(gains.noise_rest));
+    absorb(gains, Vec3{0.0f, 0.0f, 1.0f}, mean_rate.z, load(gains.noise_rest));
   }
 
   // Motion: `tilt_x`, `tilt_y` are the horizontal parts of the unit vector that should have pointed up when
   // the inclination was corrected.
-  void update_in_motion(const BiasGains& gains, float tilt_x, float tilt_y) {
+  TIGER_OUTLINE void update_in_motion(const BiasGains& gains, float tilt_x, float tilt_y) {
     grow(gains);
-    absorb(gains, lagged_row(0), lagged_[9] - tilt_y * gains.updates_per_s, gains.noise_motion);
-    absorb(gains, lagged_row(1), lagged_[10] + tilt_x * gains.updates_per_s, gains.noise_motion);
-    absorb(gains, lagged_row(2), vertical_, sees_vertical_ ? gains.noise_heading : gains.noise_vertical);
+    absorb(gains, lagged_row(0), lag_.ahead(9) - tilt_y * load(gains.updates_per_s),
+           load(gains.noise_motion));
+    absorb(gains, lagged_row(1), lag_.ahead(10) + tilt_x * load(gains.updates_per_s),
+           load(gains.noise_motion));
+    absorb(gains, lagged_row(2), vertical_,
+           load(sees_vertical_ ? gains.noise_heading : gains.noise_vertical));
   }
 
  private:
   static constexpr uint8_t kLagged = 11;  // the rotation's nine entries, and two of the bias it carries
-  static_assert(sizeof(Mat3) == 9 * sizeof(float), "rows lie one behind the other");
 
   Vec3 lagged_row(uint8_t i) const {
-    const float* v = lagged_ + 3 * i;
-    return Vec3{v[0], v[1], v[2]};
+    const uint8_t first = static_cast<uint8_t>(3 * i);
+    return Vec3{lag_.ahead(first), lag_.ahead(static_cast<uint8_t>(first + 1)),
+                lag_.ahead(static_cast<uint8_t>(first + 2))};
   }
 
   TIGER_OUTLINE void grow(const BiasGains& gains) {
     float* const diagonal[3] = {&covariance_[0].x, &covariance_[1].y, &covariance_[2].z};
     for (uint8_t i = 0; i < 3; i++) {
-      if (*diagonal[i] < gains.variance_init) *diagonal[i] += gains.growth;
+      if (*diagonal[i] < load(gains.variance_init)) *diagonal[i] += load(gains.growth);
     }
   }
 
   // One scalar measurement of row . bias.
   TIGER_OUTLINE void absorb(const BiasGains& gains, const Vec3& row, float measured, float noise) {
+    const float limit = load(gains.limit);
     const Vec3 s = {dot(covariance_[0], row), dot(covariance_[1], row), dot(covariance_[2], row)};
     const Vec3 gain = (1.0f / (dot(row, s) + noise)) * s;
-    bias_ = bias_ + clamp(measured - dot(row, bias_), gains.limit) * gain;
-    bias_ = Vec3{clamp(bias_.x, gains.limit), clamp(bias_.y, gains.limit), clamp(bias_.z, gains.limit)};
+    bias_ = bias_ + clamp(measured - dot(row, bias_), limit) * gain;
+    bias_ = Vec3{clamp(bias_.x, limit), clamp(bias_.y, limit), clamp(bias_.z, limit)};
     covariance_[0] = covariance_[0] - gain.x * s;
     covariance_[1] = covariance_[1] - gain.y * s;
     covariance_[2] = covariance_[2] - gain.z * s;
   }
 
   LowPass<kLagged> lag_;
-  float lagged_[kLagged] = {};
   Vec3 bias_ = {};
   float vertical_ = 0.0f, vertical_lag_ = 0.0f;
   bool sees_vertical_ = false;

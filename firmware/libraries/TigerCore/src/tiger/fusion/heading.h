@@ -9,6 +9,7 @@
 // about the vertical of a body that is never turned over.
 #pragma once
 
+#include "flash.h"
 #include "rotation.h"
 
 namespace tiger {
@@ -66,7 +67,8 @@ class Heading {
   }
 
   // `field`: magnetic field in the inclined frame (z up, heading free). `rate`: how fast the body turns, averaged.
-  void step(const HeadingGains& gains, const Vec3& field, const Vec3& rate) {
+  TIGER_OUTLINE void step(const HeadingGains& stored, const Vec3& field, const Vec3& rate) {
+    const HeadingGains gains = load(stored);
     const float error = wrapped(atan2f(field.x, field.y) - angle_);
     jump_ += gains.share_jump * (error - jump_);
     judge(gains, field, dot(rate, rate) >= gains.new_field_rate2);
@@ -99,7 +101,7 @@ class Heading {
     field.dip += share * (target.dip - field.dip);
   }
 
-  void judge(const HeadingGains& gains, const Vec3& field, bool turning) {
+  TIGER_OUTLINE void judge(const HeadingGains& gains, const Vec3& field, bool turning) {
     const float horizontal = sqrtf(field.x * field.x + field.y * field.y);
     const Field now = {sqrtf(dot(field, field)), atan2f(-field.z, horizontal)};
     follow(smooth_, now, smooth_.norm > 0.0f ? gains.share_current : 1.0f);

@@ -8,6 +8,9 @@
 
 #include <stdint.h>
 
+#include "flash.h"
+#include "rotation.h"
+
 namespace tiger {
 namespace fusion {
 
@@ -37,9 +40,13 @@ class LowPass {
  public:
   void reset() { count_ = 0; }
 
+  // The output, half a period ahead: for those who do not mind, and need not keep a copy.
+  float ahead(uint8_t i) const { return value_[i]; }
+
   // `out` may be `in`. `steps`, where given, receives half of what the output changes by in a period: its
   // derivative is that times 2 / period.
-  void update(const LowPassGains& gains, const float* in, float* out, float* steps = nullptr) {
+  TIGER_OUTLINE void update(const LowPassGains& stored, const float* in, float* out, float* steps = nullptr) {
+    const LowPassGains gains = load(stored);
     if (count_ < gains.warmup) {
       average(in, out);
       for (uint8_t i = 0; steps != nullptr && i < N; i++) steps[i] = 0.0f;
@@ -56,7 +63,7 @@ class LowPass {
   }
 
  private:
-  void average(const float* in, float* out) {
+  TIGER_OUTLINE void average(const float* in, float* out) {
     if (count_ == 0) {
       for (uint8_t i = 0; i < N; i++) value_[i] = slope_[i] = 0.0f;
     }

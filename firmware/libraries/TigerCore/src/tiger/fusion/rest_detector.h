@@ -3,6 +3,7 @@
 
 #include <stdint.h>
 
+#include "flash.h"
 #include "rotation.h"
 
 namespace tiger {
@@ -34,12 +35,13 @@ class RestDetector {
     started_ = false;
   }
 
-  void step(const RestGains& gains, const Vec3& gyro, const Vec3& accel, bool may_rest) {
+  TIGER_OUTLINE void step(const RestGains& stored, const Vec3& gyro, const Vec3& accel, bool may_rest) {
     if (!started_) {
       gyro_mean_ = gyro;
       accel_mean_ = accel;
       started_ = true;
     }
+    const RestGains gains = load(stored);
     const Vec3 gyro_dev = gyro - gyro_mean_;
     const Vec3 accel_dev = accel - accel_mean_;
     gyro_mean_ = gyro_mean_ + gains.mean_share * gyro_dev;

@@ -8,6 +8,7 @@
 #include <math.h>
 #include <stdint.h>
 
+// A function that is never worth a copy at each place of use, and whose stack frame shall end with it.
 #ifdef __AVR__
 #define TIGER_OUTLINE __attribute__((noinline))
 #else
