@@ -22,6 +22,7 @@ struct tiger_board {
   virtual void run(uint32_t us) = 0;
   virtual void reset(uint8_t mcusr) = 0;
   virtual void hang(bool interrupts_off) = 0;
+  virtual void set_turn(uint32_t us) = 0;
   virtual tiger::NativeHal& hal() = 0;
   virtual tiger::VirtualUart* uart(uint8_t port) = 0;
 };
@@ -36,8 +37,6 @@ Hal& hal_of(tiger_board* board) {
 template <class Hal, template <class> class Program>
 class NativeBoard final : public tiger_board {
  public:
-  static constexpr uint64_t kTurnNs = 250000;  // the main loop turns at least this often
-
   NativeBoard(uint8_t instance, uint32_t uid) : hal_(instance, uid) { boot(NativeHal::kPowerOn); }
   ~NativeBoard() override { program().~Program<Hal>(); }
 
@@ -46,7 +45,7 @@ class NativeBoard final : public tiger_board {
     hal_.begin_run(us);
     while (hal_.now_ns() < end_ns) {
       const uint64_t left_ns = end_ns - hal_.now_ns();
-      hal_.advance(hal_.now_ns() + (left_ns < kTurnNs ? left_ns : kTurnNs));
+      hal_.advance(hal_.now_ns() + (left_ns < turn_ns_ ? left_ns : turn_ns_));
       if (!hung_) program().poll();
       watch();
     }
@@ -62,6 +61,8 @@ class NativeBoard final : public tiger_board {
     hung_ = true;
     interrupts_off_ = interrupts_off;
   }
+
+  void set_turn(uint32_t us) override { turn_ns_ = uint64_t{us} * 1000; }
 
   NativeHal& hal() override { return hal_; }
   VirtualUart* uart(uint8_t port) override { return hal_.uart(port); }
@@ -92,6 +93,7 @@ class NativeBoard final : public tiger_board {
   Program<Hal>& program() { return *reinterpret_cast<Program<Hal>*>(memory_); }
 
   Hal hal_;
+  uint64_t turn_ns_ = 250000;
   bool hung_ = false;
   bool interrupts_off_ = false;
   bool bitten_ = false;  // the watchdog's interrupt has run

@@ -32,6 +32,7 @@ tiger_board* tiger_board_new(uint8_t kind, uint8_t instance, uint32_t uid) {
 void tiger_board_free(tiger_board* board) { delete board; }
 void tiger_board_reset(tiger_board* board, uint8_t mcusr) { board->reset(mcusr); }
 void tiger_board_run(tiger_board* board, uint32_t us) { board->run(us); }
+void tiger_board_turn(tiger_board* board, uint32_t us) { board->set_turn(us); }
 void tiger_board_hang(tiger_board* board, uint8_t interrupts_off) { board->hang(interrupts_off != 0); }
 
 void tiger_uart_write(tiger_board* board, uint8_t port, const uint8_t* bytes, uint32_t n) {

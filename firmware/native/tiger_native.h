@@ -21,8 +21,9 @@ void tiger_board_free(tiger_board* board);
 // .noinit too except at power-on. A byte being written to EEPROM is lost at power-on and brown-out.
 void tiger_board_reset(tiger_board* board, uint8_t mcusr);
 
-// Lets this much time pass; the program's main loop turns every 250 us of it at least.
+// Lets this much time pass. The program's main loop takes 250 us for each turn, or what tiger_board_turn says.
 void tiger_board_run(tiger_board* board, uint32_t us);
+void tiger_board_turn(tiger_board* board, uint32_t us);
 
 // The program stops in its tracks, until the watchdog resets the board.
 void tiger_board_hang(tiger_board* board, uint8_t interrupts_off);

@@ -142,6 +142,11 @@ class SuspensionRig:
             if self.watch is not None:
                 self.watch()
 
+    def run_us(self, us: int) -> None:
+        """Let time pass in one piece, the actuators standing and the host silent."""
+        self.board.run(us)
+        self.time_ms += us // 1000
+
     def send_setpoint(self, rates_mmps: tuple[float, ...], host_ms: int | None = None) -> None:
         made_ms = self.host_clock_ms(self.time_ms) if host_ms is None else host_ms
         self.wire.send(SuspensionSetpoint(made_ms & 0xFFFF, self.engaged, tuple(rates_mmps)))

@@ -216,6 +216,14 @@ def test_missing_sequence_numbers_are_counted(armed):
     assert armed.health().seq_gaps - before == 7
 
 
+def test_a_repeated_frame_makes_no_gap(armed):
+    before = armed.health().seq_gaps
+    old = (armed.wire.seq - 20) % 256
+    for _ in range(3):
+        armed.request(ParamGet(0, 0), seq=old)
+    assert armed.health().seq_gaps == before
+
+
 def test_frames_of_a_board_carry_consecutive_numbers(armed):
     armed.wire.poll()
     decoder = FrameDecoder(FROM_BOARD[BoardKind.MEGA_SUSPENSION])
@@ -373,3 +381,29 @@ def test_parameters_are_not_set_while_armed(armed):
     assert armed.request(ParamSet(0, 0, 900)).status == AckStatus.NOT_DISARMED
     assert armed.request(ParamSave(0)).status == AckStatus.NOT_DISARMED
     assert armed.request(ClearFaults(0)).status == AckStatus.OK
+
+
+# -------------------------------------------------------------------------------------------- deadlines
+
+
+def test_a_main_loop_that_is_late_now_and_then_is_counted(armed):
+    for _ in range(5):
+        armed.board.set_turn(21_000)
+        armed.run_us(21_000)
+        armed.board.set_turn(250)
+        armed.run_ms(50)
+    health = armed.health()
+    assert health.overruns >= 5
+    assert health.faults == 0
+    assert health.watchdog_margin_ms < 12
+
+
+def test_ten_deadlines_missed_in_a_row_are_a_fault(armed):
+    armed.board.set_turn(21_000)
+    for _ in range(14):
+        armed.run_us(21_000)
+    armed.board.set_turn(250)
+    armed.rates_mmps = None
+    armed.run_ms(5)
+    assert armed.is_off
+    assert Fault.OVERRUN in armed.faults()

@@ -1,7 +1,7 @@
 """The firmware's boards on virtual pins, as Python objects.
 
 Time only passes in `Board.run`. Bytes travel at the baud rate of their line, outputs hold until the program
-changes them, and boards share nothing: wire them by moving what `uart_read` gives into another's `uart_write`.
+changes them. Boards share nothing: wire them by moving what `uart_read` gives into another's `uart_write`.
 """
 
 from __future__ import annotations
@@ -60,6 +60,10 @@ class Board:
     def run(self, us: int) -> None:
         """Let `us` microseconds pass."""
         lib.tiger_board_run(self._board, us)
+
+    def set_turn(self, us: int) -> None:
+        """Let every turn of the program's main loop take `us` microseconds; 250 unless told."""
+        lib.tiger_board_turn(self._board, us)
 
     def reset(self, cause: int = POWER_ON) -> None:
         """Reset the chip: RAM and outputs are lost, EEPROM is kept."""

@@ -1,7 +1,7 @@
 """Compiles the firmware's board templates into the extension module `tiger.native._core`.
 
-Every `firmware/native/*.cpp` is compiled; the C declarations of `tiger_native.h` and of every `*_api.h` become
-Python functions. `setup.py` uses `ffibuilder`; run as a script, it builds in place, beside this file.
+Every `firmware/native/*.cpp` is compiled; the C declarations of `tiger_native.h` and of every `*_api.h`
+become Python functions. `setup.py` uses `ffibuilder`; run as a script, it builds in place, beside this file.
 """
 
 import re

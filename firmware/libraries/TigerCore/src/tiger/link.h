@@ -183,8 +183,10 @@ class BoardLink {
     }
   }
 
+  // A number behind the last one is a repetition: no gap, and no new place to count from.
   void count_gap(uint8_t seq) {
     const uint8_t gap = static_cast<uint8_t>(seq - last_seq_ - 1);
+    if (has_seq_ && gap > INT8_MAX) return;
     if (has_seq_) seq_gaps_ = static_cast<uint16_t>(seq_gaps_ + gap);
     last_seq_ = seq;
     has_seq_ = true;
