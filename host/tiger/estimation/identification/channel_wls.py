@@ -54,6 +54,21 @@ def build(data: FrfData, order: int = 14, path_order: int = 14) -> IdentifiedMod
     return IdentifiedModel(*reduced, data.sample_s, hankel, modes(np.linalg.eigvals(reduced[0])))
 
 
+def path_poles(data: FrfData, path_order: int = 14) -> ComplexArray:
+    """Return the poles of all separate fits in Tustin's plane, rad/s, before any is reflected (Figure
+    6.7)."""
+    s = 1j * data.warped_radps()
+    scale = float(np.abs(s).max())
+    found = []
+    for i, j in np.ndindex(data.response.shape[1:]):
+        use = np.isfinite(data.variance[:, i, j])
+        _, denominator = _levy(
+            s[use] / scale, data.response[use, i, j], data.coherence[use, i, j], path_order
+        )
+        found.append(np.roots(denominator).astype(complex) * scale)
+    return np.concatenate(found)
+
+
 def _levy(s: ComplexArray, h: ComplexArray, weight: Array, order: int) -> tuple[Array, Array]:
     """Minimise sum weight |b(s) - h a(s)|^2 with a monic, in the powers of a normalised s."""
     powers = s[:, None] ** np.arange(order, -1, -1)

@@ -1,0 +1,334 @@
+"""Section 6.3, Figures 6.4-6.8 and 6.11: excite the vehicle, identify it from one noisy IMU, reduce, compare.
+
+Eight records, one input at a time: a multisine under each wheel (peak 0.1 m) and in each actuator (peak 100
+N). Three builders work on the same responses: the dissertation's channel-by-channel least squares,
+common-pole vector fitting and maximum likelihood. The thirteen physical parameters are fitted as well, and
+the ride controllers designed from them are driven in closed loop on the true vehicle.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tiger.control import ride_designs
+from tiger.control.ride import ImuNoise
+from tiger.estimation.identification import channel_wls, maximum_likelihood, physical, vector_fitting
+from tiger.estimation.identification.excitation import multisine
+from tiger.estimation.identification.frf import FrfData, from_multisine, noise_at_rest
+from tiger.estimation.identification.model import fit_percent
+from tiger.models.full_car import BODY_ACCELERATION, FORCE, ROAD, FullCarParameters, full_car
+from tiger.models.linear import modes
+from tiger.studies import ride_cases
+from tiger.studies.performance import performance_index, simulate
+from tiger.studies.report import Report, Row
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from tiger.estimation.identification.excitation import Multisine
+    from tiger.estimation.identification.model import IdentifiedModel
+    from tiger.models.linear import LinearModel
+
+    Array = NDArray[np.floating[Any]]
+
+SAMPLE_S = 0.005
+PERIODS = 4
+ROAD_PEAK_M, FORCE_PEAK_N = 0.1, 100.0
+SIMULTANEOUS_ROAD_PEAK_M = 0.0005
+"""With all inputs on at once the roads must not drown the forces."""
+FIT_BAND_HZ = (0.2, 60.0)
+START_ERROR = 0.25
+
+
+def plant(car: FullCarParameters) -> LinearModel:
+    """Return the vehicle as the record sees it: (6.10), Tustin's rule at 200 Hz, roads and forces to
+    accelerations."""
+    model = full_car(car).select(inputs=(*ROAD, *FORCE), outputs=BODY_ACCELERATION)
+    return model.discretise(SAMPLE_S, "tustin")
+
+
+def record(
+    model: LinearModel, seed: int, snr_db: float, simultaneous: bool = False
+) -> tuple[Multisine, list[tuple[Array, list[int]]]]:
+    """Simulate the records: white noise `snr_db` below the RMS of each output of each record."""
+    road = SIMULTANEOUS_ROAD_PEAK_M if simultaneous else ROAD_PEAK_M
+    signal = multisine(np.r_[np.full(4, road), np.full(4, FORCE_PEAK_N)], seed, simultaneous=simultaneous)
+    rng = np.random.default_rng([seed, 1])
+    everything = signal.record(PERIODS)
+    groups = [list(range(8))] if simultaneous else [[i] for i in range(8)]
+    records: list[tuple[Array, list[int]]] = []
+    for on in groups:
+        u = np.zeros_like(everything)
+        u[:, on] = everything[:, on]
+        y, _ = model.simulate(u)
+        spread = y.std(axis=0) * 10 ** (-snr_db / 20)
+        records.append((y + rng.standard_normal(y.shape) * spread, on))
+    return signal, records
+
+
+def start_from(car: FullCarParameters, seed: int) -> FullCarParameters:
+    """Return the car with each of the thirteen parameters off by up to 25 %: what a data sheet would say."""
+    off = np.random.default_rng([seed, 2]).uniform(1 - START_ERROR, 1 + START_ERROR, len(physical.PARAMETERS))
+    changes = {
+        name: float(getattr(car, name) * factor)
+        for name, factor in zip(physical.PARAMETERS, off, strict=True)
+    }
+    return replace(car, **changes)
+
+
+def run(
+    vehicle: str = "table-6-1",
+    snr_db: float = 20.0,
+    seed: int = 0,
+    simultaneous: bool = False,
+    closed_loop: bool = True,
+    loop_roads: int = 10,
+    progress: Callable[[float], None] | None = None,
+) -> Report:
+    """Identify the vehicle from records of the given output signal-to-noise ratio.
+
+    simultaneous: one record with orthogonal multisines at all inputs instead of eight records. closed_loop:
+    compare the ISO ride controllers designed from the fitted parameters with those designed from the true
+    ones.
+    """
+    case = ride_cases.load_case(vehicle)
+    model = plant(case.car)
+    signal, records = record(model, seed, snr_db, simultaneous)
+    rng = np.random.default_rng([seed, 3])
+    bias, spread = noise_at_rest(rng.standard_normal((4000, 3)) * ImuNoise().accel_mps2)
+    data = from_multisine(signal, records)
+    frequency = np.arange(FIT_BAND_HZ[0], FIT_BAND_HZ[1], 0.1)
+    truth = model.frequency_response(frequency)
+    rows: list[Row] = []
+    series: dict[str, Any] = {
+        "frequency_hz": frequency,
+        "true_gain_si": np.abs(truth).reshape(len(frequency), -1),
+        "line_hz": data.frequency_hz,
+        "measured_gain_si": np.abs(data.response).reshape(len(data.frequency_hz), -1),
+        "coherence": data.coherence.reshape(len(data.frequency_hz), -1),
+        "excitation_si": signal.signal[:1024, [0, 4]],
+        "response_si": records[0][0][:1024],
+        "noise_at_rest_bias_si": bias,
+        "noise_at_rest_std_si": spread,
+    }
+    errors: dict[str, float] = {}
+    built: dict[str, IdentifiedModel] = {}
+    for i, (name, builder) in enumerate(_BUILDERS.items()):
+        begin = time.process_time()
+        built[name] = builder(data)
+        seconds = time.process_time() - begin
+        fit = fit_percent(built[name].response(frequency), truth)
+        errors[name] = 100 - float(fit.mean())
+        rows += [
+            Row(f"{name} fit, mean of 24 paths", float(fit.mean()), "%"),
+            Row(f"{name} fit, worst path", float(fit.min()), "%"),
+            Row(f"{name} order", built[name].order, "states", 14),
+            Row(
+                f"{name} largest real part of a pole",
+                float(np.linalg.eigvals(built[name].a).real.max()),
+                "1/s",
+            ),
+            Row(f"{name} time", seconds, "s"),
+        ]
+        series[f"{name.replace(' ', '_')}_hankel"] = built[name].hankel[:40]
+        series[f"{name.replace(' ', '_')}_gain_si"] = np.abs(built[name].response(frequency)).reshape(
+            len(frequency), -1
+        )
+        if progress is not None:
+            progress(0.15 * (i + 1))
+    rows.append(
+        Row(
+            "channel wls error over maximum likelihood error",
+            errors["channel wls"] / errors["maximum likelihood"],
+            "-",
+        )
+    )
+    series["channel_poles_z"] = _unit_disc(channel_wls.path_poles(data))
+    series["pole_z"] = _unit_disc(np.linalg.eigvals(built["maximum likelihood"].a))
+    _uncertainty(rows, built["maximum likelihood"], model, frequency, truth)
+    fitted = physical.fit(data, start_from(case.car, seed)).car
+    worst = max(abs(getattr(fitted, n) / getattr(case.car, n) - 1) for n in physical.PARAMETERS)
+    rows.append(Row("physical fit, worst of 13 parameters", 100 * worst, "%"))
+    _open_loop(rows, series, built["maximum likelihood"], model)
+    if closed_loop:
+        _closed_loop(rows, case, fitted, loop_roads)
+    return Report(
+        "Identification from one IMU (Figures 6.4-6.8, 6.11)",
+        tuple(rows),
+        series,
+        {
+            "output snr (dB)": snr_db,
+            "noise": "white on the three accelerations, per record and output",
+            "records": "1 x 82 s, all inputs at once" if simultaneous else "8 x 82 s, one input at a time",
+            "excitation": "multisine, 4 periods of 20.48 s, the first dropped",
+            "fit": "100 (1 - |H - H0| / |H0|) over 0.2-60 Hz, every 0.1 Hz",
+            "seed": seed,
+            "physical start error (%)": 100 * START_ERROR,
+        },
+    )
+
+
+def _maximum_likelihood(data: FrfData) -> IdentifiedModel:
+    return maximum_likelihood.build(data)
+
+
+_BUILDERS: dict[str, Callable[[FrfData], IdentifiedModel]] = {
+    "channel wls": channel_wls.build,
+    "vector fitting": vector_fitting.build,
+    "maximum likelihood": _maximum_likelihood,
+}
+
+
+def coverage(
+    model: IdentifiedModel, frequency_hz: Array, truth: NDArray[np.complexfloating[Any, Any]]
+) -> float:
+    """Return the share of real and imaginary parts inside the model's own 95 % intervals."""
+    real, imag = maximum_likelihood.response_std(model, frequency_hz)
+    error = model.response(frequency_hz) - truth
+    inside = (np.abs(error.real) < 1.959964 * real).mean() + (np.abs(error.imag) < 1.959964 * imag).mean()
+    return 0.5 * float(inside)
+
+
+def _uncertainty(
+    rows: list[Row],
+    identified: IdentifiedModel,
+    model: LinearModel,
+    frequency: Array,
+    truth: NDArray[np.complexfloating[Any, Any]],
+) -> None:
+    rows.append(
+        Row("95 % intervals of the responses cover", 100 * coverage(identified, frequency, truth), "%")
+    )
+    z = model.poles()
+    exact = modes(2 / SAMPLE_S * (z - 1) / (z + 1))
+    if len(identified.modes) == len(exact):
+        off = np.abs(identified.modes / exact - 1).max(axis=0)
+        rows.append(Row("worst error of a mode's frequency", 100 * float(off[0]), "%"))
+        rows.append(Row("worst error of a mode's damping", 100 * float(off[1]), "%"))
+
+
+def _open_loop(
+    rows: list[Row], series: dict[str, Any], identified: IdentifiedModel, model: LinearModel
+) -> None:
+    """Figure 6.11: actual and estimated model over the bumpy road, actuators off."""
+    road = ride_cases.bumpy_road()[::5]
+    u = np.hstack([road, np.zeros((len(road), 4))])
+    actual, _ = model.simulate(u)
+    estimated, _ = identified.discrete(model.inputs, model.outputs).simulate(u)
+    series["open_loop_time_s"] = np.arange(len(road)) * SAMPLE_S
+    series["open_loop_actual_si"], series["open_loop_estimated_si"] = actual, estimated
+    for i, name in enumerate(("heave", "pitch", "roll")):
+        fit = 100 * (1 - np.linalg.norm(estimated[:, i] - actual[:, i]) / np.linalg.norm(actual[:, i]))
+        rows.append(Row(f"open loop {name} fit on the bumpy road", float(fit), "%"))
+
+
+def _closed_loop(rows: list[Row], case: ride_cases.Case, fitted: FullCarParameters, roads: int) -> None:
+    seeds = tuple(range(roads))
+    road = ride_cases.iso_roads(case.car, seeds)
+    noise = ImuNoise()
+    passive = performance_index(case.car, case.rattle_space_m, simulate(case.car, road, seeds=seeds))
+    for name, tuning, sees in (
+        ("holding", ride_designs.HOLDING_PLAIN, False),
+        ("holding preview", ride_designs.HOLDING_PREVIEW, True),
+    ):
+        cuts = []
+        for car in (case.car, fitted):
+            preview = car.wheelbase_m / ride_cases.ISO_SPEED_MPS if sees else None
+            controller = tuning.controller(car, noise, preview)
+            active = simulate(case.car, road, controller, noise, seeds)
+            ratio = performance_index(case.car, case.rattle_space_m, active) / passive
+            cuts.append(100 * (1 - ratio.mean(axis=0)))
+        for i, body in ((1, "heave"), (3, "pitch"), (5, "roll")):
+            rows.append(Row(f"{name} rms {body} cut, identified model", float(cuts[1][i]), "%"))
+            rows.append(
+                Row(
+                    f"{name} rms {body} cut, points lost to the known model",
+                    float(cuts[0][i] - cuts[1][i]),
+                    "%",
+                )
+            )
+        rows.append(
+            Row(
+                f"{name} worst eta, active over passive, identified model",
+                1 - float(cuts[1][6:10].min()) / 100,
+                "-",
+            )
+        )
+
+
+def _unit_disc(poles: NDArray[np.inexact[Any]]) -> Array:
+    """Map poles of Tustin's plane to the z-plane, as (real, imaginary) columns."""
+    half = 0.5 * SAMPLE_S * poles
+    z = (1 + half) / (1 - half)
+    return np.column_stack([z.real, z.imag])
+
+
+def plot(report: Report, directory: Path) -> list[Path]:
+    """Draw Figures 6.4-6.8 and 6.11."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    directory.mkdir(parents=True, exist_ok=True)
+    s = {name: np.asarray(values) for name, values in report.series.items()}
+    paths: list[Path] = []
+
+    def save(figure: Any, name: str) -> None:
+        paths.append(directory / f"figure_{name}.png")
+        figure.savefig(paths[-1], dpi=110)
+        plt.close(figure)
+
+    time_s = np.arange(len(s["excitation_si"])) * SAMPLE_S
+    figure, axes = plt.subplots(3, 1, figsize=(7, 5), sharex=True, layout="constrained")
+    axes[0].plot(time_s, s["excitation_si"][:, 0])
+    axes[1].plot(time_s, s["excitation_si"][:, 1])
+    axes[2].plot(time_s, s["response_si"])
+    for axis, label in zip(axes, ("road m", "force N", "IMU SI"), strict=True):
+        axis.set_ylabel(label)
+    axes[2].set_xlabel("time s")
+    save(figure, "6_4_6_5_excitation_and_response")
+
+    figure, axes = plt.subplots(3, 8, figsize=(20, 8), sharex=True, layout="constrained")
+    for path, axis in enumerate(axes.ravel()):
+        axis.loglog(s["line_hz"], s["measured_gain_si"][:, path], ".", ms=2, color="0.6", label="measured")
+        axis.loglog(s["frequency_hz"], s["true_gain_si"][:, path], label="true")
+        axis.loglog(s["frequency_hz"], s["maximum_likelihood_gain_si"][:, path], "--", label="identified")
+    axes[0, 0].legend()
+    save(figure, "6_6_responses")
+
+    figure, axis = plt.subplots(figsize=(5, 5), layout="constrained")
+    angle = np.linspace(0, 2 * np.pi, 200)
+    axis.plot(np.cos(angle), np.sin(angle), color="0.7")
+    axis.plot(*s["channel_poles_z"].T, ".", ms=3, label="24 separate fits")
+    axis.plot(*s["pole_z"].T, "x", label="maximum likelihood")
+    axis.set(aspect="equal", xlabel="real", ylabel="imaginary")
+    axis.legend()
+    save(figure, "6_7_poles")
+
+    figure, axis = plt.subplots(figsize=(6, 3.5), layout="constrained")
+    for name in ("channel_wls", "maximum_likelihood"):
+        hankel = s[f"{name}_hankel"]
+        axis.semilogy(
+            np.arange(1, len(hankel) + 1), hankel / hankel[0], "o-", ms=3, label=name.replace("_", " ")
+        )
+    axis.axvline(14.5, ls=":", color="0.5")
+    axis.set(xlabel="state", ylabel="Hankel singular value, relative")
+    axis.legend()
+    save(figure, "6_8_hankel")
+
+    figure, axes = plt.subplots(3, 1, figsize=(7, 5), sharex=True, layout="constrained")
+    for i, (axis, label) in enumerate(zip(axes, ("heave", "pitch", "roll"), strict=True)):
+        axis.plot(s["open_loop_time_s"], s["open_loop_actual_si"][:, i], label="actual")
+        axis.plot(s["open_loop_time_s"], s["open_loop_estimated_si"][:, i], "--", label="estimated")
+        axis.set_ylabel(label)
+    axes[0].legend()
+    save(figure, "6_11_open_loop")
+    return paths
