@@ -207,7 +207,7 @@ def _phase(
 
 
 def _turning(design: LevelingDesign, phase: Phase, target: Target) -> tuple[float, float]:
-    """Roll and pitch rate of the target; the noise of an axis that stands must not take rate from the other."""
+    """Roll and pitch rate of the target: an axis that stands must not, by its noise, slow the other."""
     roll, pitch = phase.turning_radps
     return (
         target.roll_rate_radps if abs(roll) > design.still_radps else 0.0,

@@ -112,10 +112,10 @@ def followable(
 ) -> tuple[float, float]:
     """Return angle and rate of the rate-limited motion that is nearest to the ground in the RMS.
 
-    A command acts `delay_s` late and then through a lag: the angle is that of `delay_s` from now, the rate that of
-    `delay_s + lag_s` from now. By Pontryagin's principle the motion consists of arcs at the limit and arcs on the
-    sine. By symmetry those at the limit go through the centre: while the sine's top rate is below pi/2 of the
-    limit they are its chords; beyond that they join to a triangle in phase.
+    A command acts `delay_s` late and then through a lag: the angle is that of `delay_s` from now, the rate
+    that of `delay_s + lag_s` from now. By Pontryagin's principle the motion consists of arcs at the limit and
+    arcs on the sine. By symmetry those at the limit go through the centre: while the sine's top rate is below
+    pi/2 of the limit they are its chords; beyond that they join to a triangle in phase.
     """
     amplitude, w = state.amplitude_rad, state.frequency_radps
     slope = rate_limit_radps / w
@@ -124,7 +124,7 @@ def followable(
     def at(phase: float) -> tuple[float, float]:
         folded = math.asin(math.sin(phase))
         rising = 1.0 if math.cos(phase) >= 0.0 else -1.0
-        if abs(folded) < half:
+        if abs(folded) <= half:
             return slope * folded, rising * rate_limit_radps
         return amplitude * math.sin(folded), rising * amplitude * w * math.cos(folded)
 
