@@ -124,7 +124,7 @@ def followable(
     def at(phase: float) -> tuple[float, float]:
         folded = math.asin(math.sin(phase))
         rising = 1.0 if math.cos(phase) >= 0.0 else -1.0
-        if abs(folded) <= half:
+        if half > 0.0 and abs(folded) <= half:
             return slope * folded, rising * rate_limit_radps
         return amplitude * math.sin(folded), rising * amplitude * w * math.cos(folded)
 
