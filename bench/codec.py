@@ -2,8 +2,9 @@
 
     python bench/codec.py
 
-One IMU message each: ours with 14 numbers and a time (imu_attitude, 32 bytes), MAVLink's ATTITUDE (28 bytes). Best of
-several runs on one core. A live robot sends about 650 frames a second, so this matters for logs and emulation.
+One IMU message each: ours with 14 numbers and a time (imu_attitude, 32 bytes), MAVLink's ATTITUDE (28 bytes).
+Best of several runs on one core. A live robot sends about 650 frames a second, so this matters for logs and
+emulation.
 """
 
 from __future__ import annotations
