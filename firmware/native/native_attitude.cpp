@@ -56,8 +56,9 @@ struct tiger_attitude {
       sample.may_rest = advice.may_rest;
     }
     if (in.follows_gap != 0) filter.resume();
-    filter.step(sample, in.dt_s);
+    filter.sense(sample, in.dt_s);
     if (in.has_mag != 0) filter.add_magnetometer(vec(in.mag_ut));
+    filter.think();
     put(out.quaternion, filter.attitude());
     put(out.level_quaternion, filter.attitude_without_heading());
     put(out.rate_radps, filter.rate_radps());

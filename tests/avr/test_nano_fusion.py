@@ -85,8 +85,13 @@ def apart_deg(sent: NDArray[np.float64], own: NDArray[np.float64]) -> float:
     return float(np.degrees((a.inv() * b).magnitude()).max())
 
 
+def listen(nano: Any, seconds: int) -> None:
+    for _ in range(seconds):
+        nano.listen(1000)  # what it sends in longer would not fit into the simulator's buffer
+
+
 def test_the_image_computes_the_attitude_that_the_host_computes_from_its_raw_samples(nano: Any) -> None:
-    nano.listen(12_000)
+    listen(nano, 12)
     sent, own = replay(nano.log)
     assert len(sent) > 1000
     assert apart_deg(sent, own) < 0.02
@@ -95,7 +100,7 @@ def test_the_image_computes_the_attitude_that_the_host_computes_from_its_raw_sam
 @pytest.mark.proof
 @pytest.mark.timeout(1800)
 def test_the_image_agrees_with_the_host_over_ten_minutes(nano: Any) -> None:
-    nano.listen(600_000)
+    listen(nano, 600)
     sent, own = replay(nano.log)
     print(f"image and host differ by {apart_deg(sent, own):.4f} degrees at most in {len(sent)} samples")
     assert len(sent) > 59_000
@@ -103,9 +108,9 @@ def test_the_image_agrees_with_the_host_over_ten_minutes(nano: Any) -> None:
 
 
 def test_the_whole_nano_keeps_its_budget_of_time_and_memory(nano: Any) -> None:
-    nano.listen(4000)
+    listen(nano, 4)
     nano.board.clear_statistics()
-    nano.listen(4000)
+    listen(nano, 4)
     turns = nano.board.turns()
     health = [m for m in nano.log if isinstance(m, wire.Health)][-1]
     print(f"load {turns.load:.3f}, longest turn {turns.max_cycles} cycles, RAM free {health.ram_free_bytes}")

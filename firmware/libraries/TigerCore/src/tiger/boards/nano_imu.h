@@ -28,7 +28,7 @@ class NanoImu : public BoardHooks {
   void begin() {
     link_.begin();
     const uint32_t now_us = hal_.micros();
-    parameters_changed();
+    apply_parameters();
     sensor_.begin(now_us);
     task_.start(now_us);
     sampled_us_ = mag_us_ = now_us;
@@ -37,6 +37,7 @@ class NanoImu : public BoardHooks {
   void poll() {
     const uint32_t now_us = hal_.micros();
     talk(now_us);
+    if (has_new_parameters_) apply_parameters();
     measure(now_us);
     watch_sensor();
     if (task_.due(now_us)) {
@@ -53,22 +54,7 @@ class NanoImu : public BoardHooks {
     return fault >= wire::Fault::kImuAbsent && fault <= wire::Fault::kImuData && !sensor_.working();
   }
 
-  void parameters_changed() {
-    const auto& p = link_.parameters();
-    gyro_bias_ = triple(p, wire::kParamGyroBiasRadps, 1e-6f);
-    accel_offset_ = triple(p, wire::kParamAccelOffsetMps2, 1e-4f);
-    accel_scale_ = triple(p, wire::kParamAccelScalePermille, 1e-6f);
-    const fusion::Vec3 v = triple(p, wire::kParamMountingQuaternion + 1, 1e-6f);
-    const float w = 1e-6f * static_cast<float>(p.get(wire::kParamMountingQuaternion));
-    mounting_ = fusion::matrix(fusion::normalised(fusion::Quat{w, v}));
-    is_turned_ = fusion::dot(v, v) > 0.0f;
-    is_calibrated_ = p.get(wire::kParamCalibrated) != 0;
-    // What the filter learned with other corrections would be wrong now: it settles afresh.
-    filter_.reset();
-    turning_.reset();
-    settled_ = 0;
-    has_fused_ = false;
-  }
+  void parameters_changed() { has_new_parameters_ = true; }
 
   const fusion::AttitudeFilter& filter() const { return filter_; }
 
@@ -129,6 +115,24 @@ class NanoImu : public BoardHooks {
     sampled_us_ = now_us;
     take(reading);
     report(now_us);
+  }
+
+  TIGER_OUTLINE void apply_parameters() {
+    has_new_parameters_ = false;
+    const auto& p = link_.parameters();
+    gyro_bias_ = triple(p, wire::kParamGyroBiasRadps, 1e-6f);
+    accel_offset_ = triple(p, wire::kParamAccelOffsetMps2, 1e-4f);
+    accel_scale_ = triple(p, wire::kParamAccelScalePermille, 1e-6f);
+    const fusion::Vec3 v = triple(p, wire::kParamMountingQuaternion + 1, 1e-6f);
+    const float w = 1e-6f * static_cast<float>(p.get(wire::kParamMountingQuaternion));
+    mounting_ = fusion::matrix(fusion::normalised(fusion::Quat{w, v}));
+    is_turned_ = fusion::dot(v, v) > 0.0f;
+    is_calibrated_ = p.get(wire::kParamCalibrated) != 0;
+    // What the filter learned with other corrections would be wrong now: it settles afresh.
+    filter_.reset();
+    turning_.reset();
+    settled_ = 0;
+    has_fused_ = false;
   }
 
   // ---- one sample
@@ -278,7 +282,8 @@ class NanoImu : public BoardHooks {
   wire::ImuRaw raw_ = {};
   uint32_t fused_us_ = 0, mag_us_ = 0, sampled_us_ = 0;
   uint16_t settled_ = 0, flags_ = 0;
-  bool has_fused_ = false, started_ = false, raw_pending_ = false, is_turned_ = false, is_calibrated_ = false;
+  bool has_fused_ = false, started_ = false, raw_pending_ = false, is_turned_ = false,
+       has_new_parameters_ = false, is_calibrated_ = false;
 };
 
 }  // namespace tiger

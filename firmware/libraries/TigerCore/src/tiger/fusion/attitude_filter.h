@@ -89,18 +89,19 @@ class AttitudeFilter {
 
   void start_bias_from(const Vec3& bias_radps) { bias_.start_from(bias_radps); }
 
-  // One tick: step(), or its two halves, for those who must spare the stack. `dt_s` is the time since the sample
+  // One tick is sense(), add_magnetometer() if there is a new sample, think(). `dt_s` is the time since the sample
   // before; zero for a sample that follows a gap too long to bridge: the attitude is then held across the gap.
-  void step(const ImuSample& sample, float dt_s) {
-    sense(sample, dt_s);
-    think();
-  }
-
   TIGER_OUTLINE void sense(const ImuSample& sample, float dt_s) {
     rest_.step(gains_.rest, sample.gyro_radps, sample.accel_mps2, sample.may_rest);
     integrate(sample.gyro_radps, dt_s);
     has_up_ = sample.accel_usable;
     if (has_up_) average(sample);
+  }
+
+  // A new magnetometer sample, of the instant of the latest sense().
+  TIGER_OUTLINE void add_magnetometer(const Vec3& field_ut) {
+    field_ = rotate(inertial_, field_ut);
+    mag_waiting_ = true;
   }
 
   // This tick's quarter of the slow work.
@@ -120,12 +121,6 @@ class AttitudeFilter {
     accel_low_pass_.reset();
     walking_ = true;
     bias_pause_ = load(gains_.bias_pause);
-  }
-
-  // A new magnetometer sample, of the instant of the latest step.
-  TIGER_OUTLINE void add_magnetometer(const Vec3& field_ut) {
-    field_ = rotate(inertial_, field_ut);
-    mag_waiting_ = true;
   }
 
   // Body to earth.
@@ -149,9 +144,9 @@ class AttitudeFilter {
       rate_ = rate;
       started_ = true;
     }
-    const Vec3 angle = dt_s * rate + (dt_s * dt_s * (1.0f / 12.0f)) * cross(rate_, rate);
+    const Vec3 coned = rate + (dt_s * (1.0f / 12.0f)) * cross(rate_, rate);
     rate_ = rate;
-    inertial_ = inertial_ * small_turn(angle);
+    inertial_ = inertial_ * small_turn(dt_s * coned);
   }
 
   TIGER_OUTLINE void average(const ImuSample& sample) {

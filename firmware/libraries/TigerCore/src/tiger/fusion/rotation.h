@@ -52,7 +52,10 @@ inline float norm2(const Quat& q) { return q.w * q.w + dot(q.v, q.v); }
 TIGER_OUTLINE inline Quat scaled(float s, const Quat& q) { return Quat{s * q.w, s * q.v}; }
 
 TIGER_OUTLINE inline Quat operator*(const Quat& a, const Quat& b) {
-  return Quat{a.w * b.w - dot(a.v, b.v), a.w * b.v + b.w * a.v + cross(a.v, b.v)};
+  const Vec3 c = cross(a.v, b.v);
+  return Quat{
+      a.w * b.w - dot(a.v, b.v),
+      {a.w * b.v.x + b.w * a.v.x + c.x, a.w * b.v.y + b.w * a.v.y + c.y, a.w * b.v.z + b.w * a.v.z + c.z}};
 }
 
 // a turned by q: a + 2 w (v x a) + 2 v x (v x a).
