@@ -59,8 +59,9 @@ run: setup ## Bring up the emulated robot on its shaking plate and level it (SCE
 	@$(TIGER) run --emulate $(SCENARIO) --duration $(DURATION)
 
 .PHONY: generate
-generate: setup ## Write both sides of the wire from protocol/tiger.toml
+generate: setup ## Write both sides of the wire from protocol/tiger.toml, and docs/safety.md from its tables
 	@$(BIN)/python protocol/generate.py
+	@$(BIN)/python scripts/render_safety.py
 
 # ------------------------------------------------------------------------------------------------------ tests
 
@@ -92,6 +93,7 @@ check: setup ## Formatters, linters, types, import rules, generated files
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --config pyproject.toml
 	@$(BIN)/python protocol/generate.py --check
+	@$(BIN)/python scripts/render_safety.py --check
 
 .PHONY: format
 format: setup ## Format all sources in place
