@@ -188,13 +188,19 @@ def test_a_slow_wheel_counts_as_standing_after_the_set_time_at_most() -> None:
     assert any(has(m, WheelFlag.STOPPED) for m in messages)
 
 
-def test_start_from_rest_needs_two_edges() -> None:
+@pytest.mark.parametrize("rest_s", [0.15, 1.0])
+def test_start_from_rest_needs_two_edges_and_forgets_the_rest(rest_s: float) -> None:
     wheels = Wheels()
-    wheels.run(1.0, 0.0, step_us=1000)
+    wheels.run(0.2, 1.0)
+    wheels.run(rest_s, 0.0, step_us=1000)
     messages = wheels.run(0.1, 1.0)
     moving = [m for m in messages if not has(m, WheelFlag.STOPPED)]
     assert len(moving) >= 7
-    assert all(m.speed_radps[FRONT] == pytest.approx(2 * math.pi, rel=1e-3) for m in moving)
+    first = (
+        moving[0] if rest_s > 0.5 else moving[1]
+    )  # after a short rest, the mean since the last edge before it
+    assert first.speed_radps[FRONT] == pytest.approx(2 * math.pi, rel=1e-3)
+    assert all(m.speed_radps[FRONT] == pytest.approx(2 * math.pi, rel=1e-3) for m in moving[3:])
 
 
 def test_reversal_changes_the_sign_within_two_edges() -> None:

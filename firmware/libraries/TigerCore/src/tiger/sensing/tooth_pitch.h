@@ -51,10 +51,8 @@ class ToothPitch {
     half_ticks_ += interval;
     half_ticks_ -= half_ago;
     if (run_ >= intervals_ && steady()) {
-      // The revolution centred on the middle of the opposite interval has half of each end interval.
-      const float centred_ticks = static_cast<float>(revolution_ticks_) +
-                                  0.5f * (static_cast<float>(interval) - static_cast<float>(turn_ago));
-      blend(opposite, static_cast<float>(half_ago) * static_cast<float>(intervals_) / centred_ticks);
+      const float mean_ticks = static_cast<float>(revolution_ticks_) / static_cast<float>(intervals_);
+      blend(opposite, static_cast<float>(half_ago) / mean_ticks);
     }
     revolution_ticks_ += interval;
     revolution_ticks_ -= turn_ago;

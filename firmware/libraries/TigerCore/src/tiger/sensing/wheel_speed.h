@@ -151,6 +151,7 @@ class WheelSpeed {
       speed_edges_per_tick_ = measured_edges_per_tick_;
       stopped_ = false;
     }
+    start_ = latest_;
     for (uint8_t i = 0; i < kEdgesPerTooth; ++i)
       if (crossings_[i].valid) references_[i] = crossings_[i];
   }
@@ -173,7 +174,7 @@ class WheelSpeed {
     }
   }
 
-  // Standing: what is measured next starts from the last edge before the rest, or after it if that was long.
+  // Standing: the first edge after it is measured from the last one before it, unless that is long ago.
   void halt() {
     speed_edges_per_tick_ = 0.0f;
     stopped_ = true;
@@ -199,7 +200,7 @@ class WheelSpeed {
   float measured_edges_per_tick_;  // at the last edge
   float speed_edges_per_tick_;     // now
   Crossing latest_;
-  Crossing start_;                       // first edge after a rest
+  Crossing start_;                       // where to measure from while no edge of the same phase is known
   Crossing crossings_[kEdgesPerTooth];   // newest of each phase
   Crossing references_[kEdgesPerTooth];  // the same at the last update
   uint8_t same_edge_count_;
