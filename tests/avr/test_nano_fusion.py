@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import struct
+import subprocess
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -118,3 +121,29 @@ def test_the_whole_nano_keeps_its_budget_of_time_and_memory(nano: Any) -> None:
     assert turns.max_cycles < 160_000  # a tick
     assert health.ram_free_bytes >= LEAST_RAM_BYTES
     assert health.overruns == 0
+
+
+def test_the_filter_takes_at_most_60_k_cycles_a_tick_and_never_more_than_100_k(
+    simulated: ModuleType, tmp_path: Path
+) -> None:
+    image = tmp_path / "nano_fusion_cost.elf"
+    command = "avr-g++ -std=gnu++11 -Os -flto -mmcu=atmega328p -DF_CPU=16000000L -fno-threadsafe-statics"
+    source = Path(__file__).with_name("nano_fusion_cost.cpp")
+    core = Path(__file__).parents[2] / "firmware/libraries/TigerCore/src"
+    subprocess.run(
+        [*command.split(), "-Wall", "-Wextra", f"-I{core}", source, "-o", image, "-lm"], check=True
+    )
+    board = simulated.Board("nano_imu", image)
+    try:
+        said = b""
+        for _ in range(100):
+            board.run_ms(100)
+            said += board.receive()
+            if len(said) == 8:
+                break
+    finally:
+        board.close()
+    mean, worst = struct.unpack("<II", said)
+    print(f"attitude filter: {mean} cycles a tick in the mean, {worst} at worst")
+    assert mean <= 60_000
+    assert worst <= 100_000
