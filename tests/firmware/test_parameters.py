@@ -7,9 +7,12 @@ import pytest
 from tiger.native.boards import BROWN_OUT, EXTERNAL, POWER_ON
 from tiger.protocol.messages import (
     PARAMS,
+    SCHEMA_HASH,
     AckStatus,
+    Arm,
     BoardKind,
     Fault,
+    Log,
     ParamGet,
     ParamSave,
     ParamSet,
@@ -171,3 +174,34 @@ def test_calibration_changes_the_stroke_at_once(rig):
     rig.run_ms(300)
     assert rig.state.stroke_mm[0] == pytest.approx(35.0 + 400 / 15132 * 35, abs=0.1)
     assert rig.wire.last(SuspensionState).stroke_mm[1] == pytest.approx(35.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("index", "value"),
+    [(POT_LOW, 15500), (POT_LOW + 4, 900), (8, 35000), (9, 36000)],
+    ids=["no span above", "no span below", "soft limits crossed", "soft limit beyond the stroke"],
+)
+def test_an_implausible_calibration_is_named_and_not_armed(rig, index, value):
+    assert set_(rig, index, value) == AckStatus.OK
+    rig.run_ms(300)
+    assert rig.wire.last(Log).text == "stroke calibration is not plausible"
+    session = rig.hello().session
+    arm = Arm(0, SCHEMA_HASH[BoardKind.MEGA_SUSPENSION], session)
+    assert rig.request(arm).status == AckStatus.NOT_READY
+    restart(rig)
+    assert rig.request(Arm(0, arm.schema_hash, rig.hello().session)).status == AckStatus.OK
+
+
+def test_a_potentiometer_wired_the_other_way_round_is_calibrated(rig):
+    set_(rig, POT_LOW, 15550)
+    set_(rig, POT_LOW + 4, 818)
+    rig.read_pot = lambda corner, counts: 1023.0 - counts if corner == 0 else counts
+    rig.run_ms(100)
+    rig.clear_faults()
+    rig.run_ms(300)
+    assert rig.state.stroke_mm[0] == pytest.approx(35.0, abs=0.1)
+    rig.arm()
+    rig.rates_mmps = (5.0, 0.0, 0.0, 0.0)
+    rig.run_ms(1000)
+    assert rig.state.stroke_mm[0] == pytest.approx(rig.strokes_mm[0], abs=0.15)
+    assert rig.strokes_mm[0] > 39.0

@@ -301,6 +301,7 @@ class MegaSuspension : public BoardHooks {
       const uint16_t full = static_cast<uint16_t>(parameter(wire::kParamStrokeFullMm));
       curves_valid_ = actuators_[i].configure(points, full, limits) && curves_valid_;
     }
+    if (!curves_valid_) link_.log(wire::LogLevel::kError, TIGER_TEXT("stroke calibration is not plausible"));
     has_readings_ = false;  // the next reading starts the observers afresh
     settle_ticks_ = suspension::kSettleTicks;
   }
