@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -61,6 +61,35 @@ def load_case(vehicle: str) -> Case:
         )
     car = FullCarParameters.from_config(config)
     return Case(car, config.actuator.rattle_space_m, config.actuator.max_force_n)
+
+
+def perturbed(
+    car: FullCarParameters,
+    com_x: float = 0.0,
+    com_y: float = 0.0,
+    mass: float = 0.0,
+    front_spring: float = 0.0,
+    rear_spring: float = 0.0,
+) -> tuple[FullCarParameters, tuple[float, float]]:
+    """Return a car that is off by the given fractions, and where its IMU then lies from the true centre of
+    mass.
+
+    com_x is a fraction of the front axle's distance, com_y of the half track (r_m of section 6.5.2). The IMU
+    stays where the centre of mass was believed to be. The body's inertias grow with its mass.
+    """
+    x, y = com_x * car.com_to_front_axle_m, com_y * car.half_track_m
+    off = replace(
+        car,
+        body_mass_kg=car.body_mass_kg * (1 + mass),
+        roll_inertia_kgm2=car.roll_inertia_kgm2 * (1 + mass),
+        pitch_inertia_kgm2=car.pitch_inertia_kgm2 * (1 + mass),
+        front_spring_npm=car.front_spring_npm * (1 + front_spring),
+        rear_spring_npm=car.rear_spring_npm * (1 + rear_spring),
+        com_to_front_axle_m=car.com_to_front_axle_m - x,
+        com_to_rear_axle_m=car.com_to_rear_axle_m + x,
+        com_left_m=car.com_left_m + y,
+    )
+    return off, (-x, -y)
 
 
 def bumpy_road(speed_mps: float = BUMPY_SPEED_MPS, duration_s: float = BUMPY_DURATION_S) -> Array:
