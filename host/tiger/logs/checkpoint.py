@@ -51,9 +51,7 @@ def _numbers(value: Any) -> Iterator[float]:
 
 def _filled(like: Any, rest: Iterator[float]) -> Any:
     if dataclasses.is_dataclass(like):
-        return type(like)(
-            *(_filled(getattr(like, field.name), rest) for field in dataclasses.fields(like))
-        )
+        return type(like)(*(_filled(getattr(like, field.name), rest) for field in dataclasses.fields(like)))
     if isinstance(like, tuple):
         return tuple(_filled(element, rest) for element in like)
     if isinstance(like, np.ndarray):

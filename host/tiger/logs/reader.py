@@ -112,7 +112,9 @@ class LogFile:
         try:
             records = breakup_chunk(chunk, validate_crc=True)
         except UNREADABLE as error:
-            self.damage.append(f"the chunk that begins at {chunk.message_start_time} ns is unreadable: {error}")
+            self.damage.append(
+                f"the chunk that begins at {chunk.message_start_time} ns is unreadable: {error}"
+            )
             return
         for record in records:
             yield from self._take(record, topics)

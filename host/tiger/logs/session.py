@@ -28,7 +28,17 @@ from tiger.logs.checkpoint import freeze
 from tiger.logs.errors import LogError
 from tiger.logs.store import part_name
 from tiger.logs.tap import TappedPorts
-from tiger.logs.topics import CHECKPOINT, HEALTH, LOG_STATUS, TICK, Checkpoint, Health, LogStatus, Tick, wire_topic
+from tiger.logs.topics import (
+    CHECKPOINT,
+    HEALTH,
+    LOG_STATUS,
+    TICK,
+    Checkpoint,
+    Health,
+    LogStatus,
+    Tick,
+    wire_topic,
+)
 from tiger.logs.writer import READY
 from tiger.protocol.messages import PROTO, SCHEMA_HASH
 

@@ -180,7 +180,9 @@ def main(descriptor: int) -> int:
     try:
         serve(connection)
     except OSError as error:
-        text = f"log: {error.strerror or error} ({error.filename or 'the log file'}): nothing is logged any more"
+        text = (
+            f"log: {error.strerror or error} ({error.filename or 'the log file'}): nothing is logged any more"
+        )
         with contextlib.suppress(OSError):
             connection.send(text.encode())
         print(text, file=sys.stderr)
