@@ -1,9 +1,9 @@
 """Figures 4.10 and 4.11: the robot levels itself on a plate that tilts under it, by a step and harmonically.
 
 The whole stack takes part: the firmware of the boards, the wire, the daemon and the emulated robot, in
-virtual time. The figures print curves and no numbers; the yardstick is the rate bound, the least time in which
-actuators of this speed can do it at all, and for the harmonic the least residual that any motion at this speed
-can leave.
+virtual time. The figures print curves and no numbers; the yardstick is the rate bound, the least time in
+which actuators of this speed can do it at all, and for the harmonic the least residual that any motion at this
+speed can leave.
 """
 
 from __future__ import annotations
