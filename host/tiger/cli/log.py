@@ -110,8 +110,8 @@ def _show(summary: Summary) -> None:
         console.print(f"Ticks late by {shown}")
     if summary.missing_ticks or summary.dropped_packets:
         console.print(
-            f"{summary.missing_ticks} ticks are missing, {summary.dropped_packets} packets were dropped while the "
-            "log lagged",
+            f"{summary.missing_ticks} ticks are missing, {summary.dropped_packets} packets were dropped "
+            "while the log lagged",
             style="yellow",
         )
     for text in summary.damage:

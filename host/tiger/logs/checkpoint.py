@@ -23,10 +23,10 @@ def freeze(state: Any) -> tuple[float, ...]:
 
 
 def thaw(like: T, numbers: tuple[float, ...]) -> T:
-    """The state of the shape of `like` with these numbers; raises ValueError when they are too few or many."""
+    """The state of the shape of `like` with these numbers; raises ValueError when their count is wrong."""
     rest = iter(numbers)
     try:
-        state = _filled(like, rest)
+        state: T = _filled(like, rest)
     except StopIteration:
         raise ValueError(f"{len(numbers)} numbers are too few for the state of this controller") from None
     if next(rest, None) is not None:
@@ -50,7 +50,7 @@ def _numbers(value: Any) -> Iterator[float]:
 
 
 def _filled(like: Any, rest: Iterator[float]) -> Any:
-    if dataclasses.is_dataclass(like):
+    if dataclasses.is_dataclass(like) and not isinstance(like, type):
         return type(like)(*(_filled(getattr(like, field.name), rest) for field in dataclasses.fields(like)))
     if isinstance(like, tuple):
         return tuple(_filled(element, rest) for element in like)

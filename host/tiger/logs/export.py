@@ -71,7 +71,7 @@ def csv_files(log: Log, folder: Path, topics: Collection[str] | None = None) -> 
         for logged in log.messages(topics):
             times = {"log_time_ns": logged.t_ns, "sample_time_ns": logged.sample_ns}
             cells = dict(columns(logged.value()))
-            writers[logged.topic].writerow({n: v for n, v in (times | cells).items()})
+            writers[logged.topic].writerow(times | cells)
             rows[paths[logged.topic]] += 1
     return rows
 

@@ -156,7 +156,7 @@ class Replay:
 
 
 def replay(log: Log, robot: RobotConfig | None = None) -> Replayed:
-    """Replay a log with its own configuration, or with another one to see what that changes. Raises LogError."""
+    """Replay a log with its own configuration, or with another one to see its effect. Raises LogError."""
     again = Replay(log.robot() if robot is None else robot)
     found = Replayed()
     for logged in log.messages((TICK, CHECKPOINT)):

@@ -228,9 +228,8 @@ class LogSession:
 
     def __exit__(self, *_: object) -> None:
         """Let the log's process finish its file, and wait for that."""
-        if self._socket is not None:
-            if self._entries:
-                self._send(self._now_ns())
+        if self._entries:
+            self._send(self._now_ns())
         if self._socket is not None:
             self._socket.close()
             self._socket = None

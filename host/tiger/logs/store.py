@@ -6,7 +6,7 @@ import os
 import re
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tiger.logs import cdr
 from tiger.logs.topics import WIRE, message_type
@@ -56,7 +56,7 @@ class LogFiles:
 
     def flush(self) -> None:
         """Bring everything written so far to the disk, and make room for more."""
-        self._writer.flush()
+        self._writer.flush()  # type: ignore[no-untyped-call]
         os.fdatasync(self._file.fileno())
         self._make_room()
 
@@ -67,7 +67,7 @@ class LogFiles:
 
     def close(self) -> None:
         """Finish this part."""
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.close()
 
     def _begin(self) -> None:
@@ -92,7 +92,7 @@ class LogFiles:
         cls = message_type(topic)
         if cls is None:
             raise ValueError(f"{topic} is no topic of a log")
-        kind = cdr.message(cls)
+        kind: cdr.Message[Any] = cdr.message(cls)
         if cls not in self._schemas:
             definition = kind.definition().encode()
             self._schemas[cls] = self._writer.register_schema(kind.name, cdr.SCHEMA_ENCODING, definition)

@@ -17,13 +17,12 @@ import socket
 import sys
 import threading
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tiger.logs import cdr, packets, ros
 from tiger.logs.frames import LastFrames
 from tiger.logs.store import LogFiles
 from tiger.logs.topics import CHECKPOINT, FAULT, HEALTH, TICK, WIRE, FaultReport, Health, Tick, WireBytes
-from tiger.logs.topics import message_type as type_of
 from tiger.record import DaemonState
 
 if TYPE_CHECKING:
@@ -131,10 +130,9 @@ class LogWriter:
             self._write(topic, t_ns, value, at_ns)
             self._rotate(int(self._start.part_bytes * OVERDUE), t_ns)
 
-    def _write(self, topic: str, t_ns: int, value: object, sample_ns: int | None = None) -> None:
-        cls = type_of(topic)
-        assert cls is not None
-        self._files.write(topic, t_ns, cdr.message(cls).pack(value), sample_ns)
+    def _write(self, topic: str, t_ns: int, value: Any, sample_ns: int | None = None) -> None:
+        kind: cdr.Message[Any] = cdr.message(type(value))
+        self._files.write(topic, t_ns, kind.pack(value), sample_ns)
 
     def _rotate(self, limit_bytes: int, t_ns: int) -> None:
         if self._files.size < limit_bytes:
