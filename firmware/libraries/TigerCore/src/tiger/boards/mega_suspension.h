@@ -251,9 +251,9 @@ class MegaSuspension : public BoardHooks {
     for (uint8_t i = 0; i < kCorners; ++i) {
       references[i] = actuators_[i].reference();
       if (actuators_[i].lag() > lag) lag = actuators_[i].lag();
-      slewed_[i] = 0;
     }
     move_.step(references, full_speed_, lag, rates);
+    for (uint8_t i = 0; i < kCorners; ++i) slewed_[i] = rates[i];  // a setpoint takes over from here
   }
 
   void slewed_setpoints(int16_t rates[kCorners]) {
