@@ -114,7 +114,7 @@ class Robust(Iso):
     """The goals of the ISO road, for a design that keeps a dozen wrong vehicles and delays stable with room
     to spare."""
 
-    radius: float = 0.996
+    radius: float = 0.9995
 
     def __call__(self, x: Array) -> float:
         controller = build(x, self.noise, self.preview_s, self.delay)

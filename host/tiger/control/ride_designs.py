@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from tiger.models.full_car import FullCarParameters
 
 
+FRONT_SHARE = 1.07
+
+
 @dataclass(frozen=True, slots=True)
 class RideTuning:
     """Weights of the regulator and the road that the filter believes in."""
@@ -40,11 +43,13 @@ class RideTuning:
         return design(model, self.weights, noise, delay_samples, max_force_n)
 
     def with_suspension(self, factor: float) -> RideTuning:
-        """Return the tuning with `factor` times the weight on suspension travel, to keep to the rattle
-        space."""
+        """Return the tuning with `factor` times the weight on suspension travel, to keep to the rattle space.
+
+        The front gets a little more, which levels the loads of the two rear tyres.
+        """
         weights = replace(
             self.weights,
-            suspension_front=self.weights.suspension_front * factor,
+            suspension_front=self.weights.suspension_front * factor**FRONT_SHARE,
             suspension_rear=self.weights.suspension_rear * factor,
         )
         return replace(self, weights=weights)
@@ -88,18 +93,18 @@ BUMPY_PREVIEW = RideTuning(
 
 BUMPY_PLAIN = RideTuning(
     RideWeights(
-        pitch_accel=0.535088,
-        roll_accel=39.3823,
-        heave_rate=1.52269,
-        pitch_rate=0.901059,
-        roll_rate=0.0780877,
-        suspension_front=2.96756,
-        suspension_rear=1.98547,
-        tire_front=3.00039,
-        tire_rear=17.1343,
-        force=1.50985e-10,
+        pitch_accel=0.950657,
+        roll_accel=3379.57,
+        heave_rate=0.127086,
+        pitch_rate=0.444862,
+        roll_rate=0.0182366,
+        suspension_front=0.49344,
+        suspension_rear=0.204292,
+        tire_front=7.24963,
+        tire_rear=13.6675,
+        force=2.65374e-11,
     ),
-    RoadPrior(noise=0.124418, leak_radps=0.00650915, bandwidth_radps=1.54105, lane_correlation=0.6563),
+    RoadPrior(noise=0.348714, leak_radps=0.00227267, bandwidth_radps=0.360648, lane_correlation=0.182406),
 )
 """Bumpy road without preview, nominal IMU."""
 
@@ -124,18 +129,18 @@ ISO_PREVIEW = RideTuning(
 
 HOLDING_PLAIN = RideTuning(
     RideWeights(
-        pitch_accel=0.00126746,
-        roll_accel=0.775865,
-        heave_rate=1.44781e-06,
-        pitch_rate=808.326,
-        roll_rate=0.0169475,
-        suspension_front=0.535962,
-        suspension_rear=3209.73,
-        tire_front=5.46984,
-        tire_rear=0.950627,
-        force=2.57844e-07,
+        pitch_accel=1.34532,
+        roll_accel=0.767556,
+        heave_rate=0.876253,
+        pitch_rate=0.88094,
+        roll_rate=1.03511,
+        suspension_front=91.0378,
+        suspension_rear=8.97828,
+        tire_front=9744.54,
+        tire_rear=10030.3,
+        force=5.964e-10,
     ),
-    RoadPrior(noise=0.0297633, leak_radps=16.6105, bandwidth_radps=1560.71, lane_correlation=0.00305645),
+    RoadPrior(noise=0.0308727, leak_radps=5.25088, bandwidth_radps=261.443, lane_correlation=0.0547095),
 )
 """ISO class C without preview, nominal IMU: no tyre load above the passive one."""
 
@@ -160,18 +165,18 @@ HOLDING_PREVIEW = RideTuning(
 
 ROBUST = RideTuning(
     RideWeights(
-        pitch_accel=0.000990821,
-        roll_accel=1.1638,
-        heave_rate=3.19449e-06,
-        pitch_rate=738.747,
-        roll_rate=0.0287189,
-        suspension_front=0.818186,
-        suspension_rear=4446.8,
-        tire_front=6.88697,
-        tire_rear=0.414238,
-        force=3.34627e-07,
+        pitch_accel=2.5674,
+        roll_accel=0.327203,
+        heave_rate=2.36581,
+        pitch_rate=11.4903,
+        roll_rate=18.0016,
+        suspension_front=3725.99,
+        suspension_rear=540.069,
+        tire_front=7725.48,
+        tire_rear=2341.64,
+        force=5.1309e-09,
     ),
-    RoadPrior(noise=0.0311955, leak_radps=15.9375, bandwidth_radps=2898.72, lane_correlation=0.00110673),
+    RoadPrior(noise=0.0320568, leak_radps=57.7512, bandwidth_radps=892.604, lane_correlation=0.171948),
 )
 """ISO class C without preview, nominal IMU, force one period late: for a vehicle that is not known well."""
 

@@ -75,7 +75,7 @@ def _doubling(a: Array, c: Array, process: Array, measurement: Array) -> Array:
         covariance, gain = 0.5 * (covariance + covariance.T), 0.5 * (gain + gain.T)
         if not np.isfinite(covariance).all():
             break
-        if np.abs(increment).max() <= 1e-13 * np.abs(covariance).max():
+        if np.abs(increment).max() <= 1e-10 * np.abs(covariance).max():
             return covariance
     raise np.linalg.LinAlgError("the doubling does not settle")
 
