@@ -175,8 +175,8 @@ class Log:
                 except ValidationError as error:
                     version = file.about.get("version", "?")
                     raise LogError(
-                        f"{file.path}: its robot.json does not fit this version of the program; it was written "
-                        f"by {version}, {file.about.get('git_revision', '?')}: check that version out"
+                        f"{file.path}: its robot.json does not fit this version of the program; it was "
+                        f"written by {version}, {file.about.get('git_revision', '?')}: check that version out"
                     ) from error
         raise LogError("the log holds no robot.json: it was not written by this program")
 
