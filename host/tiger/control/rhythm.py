@@ -6,7 +6,7 @@ second-order generalised integrator with a frequency-locked loop (SOGI-FLL) and 
 
     x' = w (y + k e),  y' = -w x,  c' = k_c w e,  w' = g w^2 e y / (x^2 + y^2),   e = ground - c - x
 
-Its first frequency comes from two turning points. It is trusted after some periods that it predicted well.
+It starts from two turning points, and is trusted after some periods that it predicted well.
 """
 
 from __future__ import annotations
@@ -24,8 +24,10 @@ _MISS_SHARE_OF_PHASE = 0.3
 """Smoothing of the error: weight of a radian of phase."""
 _TURNING_RADPS = math.radians(0.3)
 """Hysteresis of the ground's rate: turning points of less are noise."""
+_STILL_S = 1.5
+"""Ground that turns no more for so long has no rhythm worth knowing: it is slow enough to be followed."""
 _LOWEST_RADPS, _HIGHEST_RADPS = 2.0 * math.pi * 0.02, 2.0 * math.pi * 2.0
-_LEARNING_RAD = 3.5 * 2.0 * math.pi
+_LEARNING_RAD = 3.0 * 2.0 * math.pi
 _MISS_SHARE = 0.15
 """Largest RMS of the error, as a share of the amplitude, with which the oscillator is trusted."""
 
@@ -39,13 +41,17 @@ class Rhythm:
     centre: float = 0.0
     frequency_radps: float = 0.0
     learned_rad: float = 0.0
-    """Phase gone through since the frequency was last set from turning points."""
+    """Phase gone through since the last start."""
     miss2: float = 0.0
     """Smoothed square of the error."""
     direction: int = 0
-    """Which way the ground last turned."""
-    half_period_s: float = 0.0
+    """Which way the ground turns; 0: it stands."""
+    half_period_s: float = -math.inf
     """Time since the last turning point."""
+    turned_at_rad: float = 0.0
+    """Where the last turning point was."""
+    still_s: float = 0.0
+    """How long the ground has hardly turned."""
     misfits: int = 0
     """Half periods in a row that did not fit the frequency."""
 
@@ -83,28 +89,48 @@ def learn(state: Rhythm, angle_rad: float, rate_radps: float, dt: float) -> Rhyt
         state.miss2 + min(1.0, _MISS_SHARE_OF_PHASE * w * dt) * (error * error - state.miss2),
         state.direction,
         state.half_period_s,
+        state.turned_at_rad,
+        state.still_s,
         state.misfits,
     )
 
 
 def _time_turning_points(state: Rhythm, angle_rad: float, rate_radps: float, dt: float) -> Rhythm:
-    """Measure half periods; set the frequency from the first, and again when two in a row do not fit it."""
-    direction = state.direction
-    if abs(rate_radps) > _TURNING_RADPS:
-        direction = 1 if rate_radps > 0.0 else -1
-    elapsed = state.half_period_s + dt
+    """Measure half periods; start from the first, and again when two in a row do not fit the frequency."""
+    if abs(rate_radps) < _TURNING_RADPS:
+        still_s = state.still_s + dt
+        if still_s > _STILL_S:
+            return Rhythm(still_s=still_s)
+        return replace(state, half_period_s=state.half_period_s + dt, still_s=still_s)
+    direction = 1 if rate_radps > 0.0 else -1
+    half_period_s = state.half_period_s + dt
     if direction == state.direction:
-        if elapsed > math.pi / _LOWEST_RADPS:  # the ground has stopped
-            return Rhythm(direction=direction, half_period_s=elapsed)
-        return replace(state, half_period_s=elapsed)
+        return replace(state, half_period_s=half_period_s, still_s=0.0)
     if state.direction == 0:
         return Rhythm(direction=direction)
-    measured = min(_HIGHEST_RADPS, max(_LOWEST_RADPS, math.pi / elapsed))
     known = state.frequency_radps
-    fits = known > 0.0 and 0.75 < measured / known < 1.33
-    if fits or (known > 0.0 and state.misfits == 0):
-        return replace(state, direction=direction, half_period_s=0.0, misfits=0 if fits else 1)
-    return Rhythm(centre=angle_rad, frequency_radps=measured, direction=direction)
+    measured = math.pi / half_period_s  # not positive before the first turning point
+    fits = 0.75 * known < measured < 1.33 * known
+    if measured <= 0.0 or fits or (known > 0.0 and state.misfits == 0):
+        misfits = 0 if fits else 1
+        return replace(
+            state,
+            direction=direction,
+            half_period_s=0.0,
+            turned_at_rad=angle_rad,
+            still_s=0.0,
+            misfits=misfits,
+        )
+    # From one turning point to the other: the ground is at the end of its swing.
+    centre = 0.5 * (angle_rad + state.turned_at_rad)
+    return Rhythm(
+        x=angle_rad - centre,
+        centre=centre,
+        frequency_radps=min(_HIGHEST_RADPS, max(_LOWEST_RADPS, measured)),
+        direction=direction,
+        half_period_s=0.0,
+        turned_at_rad=angle_rad,
+    )
 
 
 def followable(

@@ -2,8 +2,8 @@
 
 The whole stack takes part: the firmware of the boards, the wire, the daemon and the emulated robot, in
 virtual time. The figures print curves and no numbers; the yardstick is the rate bound, the least time in
-which actuators of this speed can do it at all, and for the harmonic the least residual that any motion at this
-speed can leave.
+which actuators of this speed can do it at all, and for the harmonic the least residual that any motion at
+this speed can leave.
 """
 
 from __future__ import annotations
