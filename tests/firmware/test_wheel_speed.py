@@ -158,6 +158,12 @@ def test_learning_survives_acceleration() -> None:
     assert worst_error(messages[5:], 3.0) <= 5e-3
 
 
+def test_wild_speeds_teach_no_wrong_pitches() -> None:
+    wheels = Wheels()  # a perfect gear: nothing to learn
+    wheels.run(6.0, lambda t: 2.0 * (1 + 0.7 * math.sin(2 * math.pi * 1.7 * t)), step_us=500)
+    assert worst_error(wheels.run(0.6, 2.0, step_us=500)[10:], 2.0) <= 2e-3
+
+
 def test_an_illegal_step_makes_the_board_forget_the_table() -> None:
     wheels = Wheels(Gear(5, pitch_error=0.02))
     assert has(wheels.run(4.0, 2.0, step_us=250)[-1], WheelFlag.PITCH_LEARNED)

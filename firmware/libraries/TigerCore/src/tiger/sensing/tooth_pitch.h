@@ -1,12 +1,14 @@
 // Learns the true pitch of every quarter tooth of a gear, so that speed does not inherit its errors.
 //
 // While the wheel turns steadily, the time of an interval over the mean time of the revolution centred on it is
-// its pitch. A steady acceleration cancels in a centred mean. One full revolution later every interval is known;
-// further revolutions are averaged in. The table belongs to the position count since boot: whatever loses a count
+// its pitch. A steady acceleration cancels in a centred mean. After three steady revolutions every interval is known;
+// further ones are averaged in. The table belongs to the position count since boot: whatever loses a count
 // must make the table forget.
 #pragma once
 
 #include <stdint.h>
+
+#include "quadrature.h"
 
 namespace tiger {
 
@@ -29,7 +31,7 @@ class ToothPitch {
   }
 
   // The chain of intervals broke: a pause, a reversal, a speed beyond the limits.
-  void restart() { run_ = 0; }
+  void restart() { run_ = steady_ = taught_ = 0; }
 
   // The interval that ends at edge `position`, crossed forwards right after its predecessor. About 2000 cycles.
   void learn(int32_t position, uint32_t interval_ticks) {
@@ -40,24 +42,23 @@ class ToothPitch {
     }
     const uint16_t newest = run_ > 0 ? wrap(static_cast<uint16_t>(newest_ + 1)) : index_of(position);
     newest_ = newest;
-    const uint16_t opposite = wrap(static_cast<uint16_t>(newest + intervals_ / 2));
     const uint16_t interval = static_cast<uint16_t>(interval_ticks);
-    if (run_ == 0) {
-      revolution_ticks_ = 0;
-      half_ticks_ = 0;
-    }
-    const uint16_t half_ago = run_ >= intervals_ / 2 ? ticks_[opposite] : 0;
-    const uint16_t turn_ago = run_ >= intervals_ ? ticks_[newest] : 0;
-    half_ticks_ += interval;
-    half_ticks_ -= half_ago;
-    if (run_ >= intervals_ && steady()) {
-      const float mean_ticks = static_cast<float>(revolution_ticks_) / static_cast<float>(intervals_);
-      blend(opposite, static_cast<float>(half_ago) / mean_ticks);
+    if (run_ == 0) revolution_ticks_ = tooth_ticks_ = 0;
+    const uint16_t tooth_before = wrap(static_cast<uint16_t>(newest + intervals_ - kEdgesPerTooth));
+    tooth_ticks_ += interval;
+    if (run_ >= kEdgesPerTooth) tooth_ticks_ -= ticks_[tooth_before];
+    if (run_ >= intervals_) {
+      judge_steadiness();
+      if (steady_ >= intervals_) {
+        const uint16_t opposite = wrap(static_cast<uint16_t>(newest + intervals_ / 2));
+        const float mean_ticks = static_cast<float>(revolution_ticks_) / static_cast<float>(intervals_);
+        blend(opposite, static_cast<float>(ticks_[opposite]) / mean_ticks);
+      }
+      revolution_ticks_ -= ticks_[newest];
     }
     revolution_ticks_ += interval;
-    revolution_ticks_ -= turn_ago;
     ticks_[newest] = interval;
-    count_run();
+    if (run_ < intervals_) ++run_;
   }
 
   bool learned() const { return revolutions_ > 0; }
@@ -83,12 +84,21 @@ class ToothPitch {
  private:
   static constexpr uint8_t kMostRevolutions = 16;  // from then on older ones fade
 
-  // Speed may change by an eighth over a revolution: what a centred mean leaves of that is under 0.1 %.
-  bool steady() const {
-    const uint32_t other_half = revolution_ticks_ > half_ticks_ ? revolution_ticks_ - half_ticks_ : 0;
-    const uint32_t difference =
-        half_ticks_ > other_half ? half_ticks_ - other_half : other_half - half_ticks_;
-    return difference < revolution_ticks_ / 16;
+  // Steady is a whole revolution in which no tooth took a tenth longer or shorter than the mean one: what a change of
+  // speed leaves of itself in a centred mean is then small, and the errors of a usable gear are within it.
+  void judge_steadiness() {
+    const int32_t revolution = static_cast<int32_t>(revolution_ticks_);
+    const int32_t off = static_cast<int32_t>(tooth_ticks_ * (intervals_ / kEdgesPerTooth)) - revolution;
+    const int32_t most = (revolution >> 3) - (revolution >> 5);
+    if (off > most || off < -most) {
+      steady_ = 0;
+      taught_ = 0;
+    } else if (steady_ < intervals_) {
+      ++steady_;
+    } else if (++taught_ == intervals_) {  // every interval was taught once more
+      taught_ = 0;
+      if (revolutions_ < kMostRevolutions - 1) ++revolutions_;
+    }
   }
 
   // A mean over the first revolutions that then fades: weight 1, 1/2, 1/4, 1/4, 1/8 ...
@@ -101,14 +111,6 @@ class ToothPitch {
     pitch_[index] = static_cast<uint16_t>(pitch_[index] + ((difference + half) >> shift));
   }
 
-  // A revolution fills the ring, each further one in a row teaches every interval once.
-  void count_run() {
-    ++run_;
-    if (run_ < 2 * intervals_) return;
-    run_ = intervals_;
-    if (revolutions_ < kMostRevolutions - 1) ++revolutions_;
-  }
-
   uint16_t wrap(uint16_t i) const { return i < intervals_ ? i : static_cast<uint16_t>(i - intervals_); }
   uint16_t index_of(int32_t position) const {
     const int32_t rest = position % static_cast<int32_t>(intervals_);
@@ -116,11 +118,13 @@ class ToothPitch {
   }
 
   uint16_t intervals_;
-  uint16_t run_;
+  uint16_t run_;     // intervals since the chain began, up to a revolution
+  uint16_t steady_;  // steady ones in a row, likewise
+  uint16_t taught_;  // intervals taught in this revolution
   uint16_t newest_;  // index of the last interval
   uint8_t revolutions_;
   uint32_t revolution_ticks_;  // of the last `intervals_` intervals
-  uint32_t half_ticks_;        // of the last half of them
+  uint32_t tooth_ticks_;       // of the last tooth
   uint16_t ticks_[kMaxIntervals];
   uint16_t pitch_[kMaxIntervals];
 };

@@ -102,23 +102,13 @@ class WheelSpeed {
     const Crossing before = latest_;
     latest_ = crossings_[seen_.latest];
     age_ticks_ = now_ - latest_.time_ticks;
-    if (!start_.valid) start_ = oldest();
+    if (!start_.valid) start_ = latest_;
     const bool same_edge = crossed == 1 && before.valid && latest_.position == before.position;
     same_edge_count_ = static_cast<uint8_t>(!same_edge               ? 0
                                             : same_edge_count_ < 255 ? same_edge_count_ + 1
                                                                      : 255);
     learn_from(before);
     has_news_ = true;
-  }
-
-  // The first edge after a rest: only those crossed since are valid.
-  Crossing oldest() const {
-    Crossing oldest = latest_;
-    for (uint8_t phase = 0; phase < kEdgesPerTooth; ++phase) {
-      const Crossing& c = crossings_[phase];
-      if (c.valid && now_ - c.time_ticks > now_ - oldest.time_ticks) oldest = c;
-    }
-    return oldest;
   }
 
   // Hands every interval between `before` and the latest edge to the pitch table, if none is missing.
