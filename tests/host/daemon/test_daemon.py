@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
@@ -112,6 +113,15 @@ def test_at_the_first_motion_one_side_turns_before_the_other(robot: RobotConfig)
         if max(map(abs, (fl, fr, rl, rr))) < 16.0:
             seen.add((fl > 8.0 and rl > 8.0, fr > 8.0 and rr > 8.0))
     assert {(True, False), (False, True)} <= seen
+
+
+def test_after_the_check_the_wheels_start_from_zero(robot: RobotConfig) -> None:
+    rig = armed(Rig(robot, STANDING))
+    rig.daemon.command = Command(speed_mps=0.5)
+    commands = [0.0, *(max(record.outputs.wheel_rpm) for record in rig.run(3.0))]
+    steps = [abs(b - a) for a, b in pairwise(commands)]
+    assert max(commands) == pytest.approx(30.0, abs=1.0)
+    assert sum(step > 5.0 for step in steps) == 4  # the check itself: left on, off, right on, off
 
 
 # ---------------------------------------------------------------------------------------- wrong before arming

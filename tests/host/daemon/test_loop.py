@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -46,6 +47,28 @@ def test_ticks_keep_to_the_grid_of_the_control_period() -> None:
     assert 20 <= len(records) <= 101
     assert lateness.ticks == len(records) - 1
     assert all(record.state is DaemonState.DISCONNECTED for record in records)
+
+
+def test_a_stall_is_not_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = VirtualClock()
+
+    def wait(_: object, seconds: float) -> bool:
+        clock.set(clock.now_s() + seconds + 1e-9)
+        return False
+
+    monkeypatch.setattr(loop._Watcher, "wait", wait)
+    daemon = Daemon(load_robot(None), NoPorts(), clock)
+    times: list[float] = []
+
+    def keep(record: Record) -> bool:
+        times.append(clock.now_s())
+        if record.tick == 3:
+            clock.set(clock.now_s() + 0.052)
+        return True
+
+    loop.run(daemon, clock, keep, duration_s=0.1)
+    pauses_ms = [round((b - a) * 1e3) for a, b in pairwise(times)]
+    assert pauses_ms[:6] == [5, 5, 5, 52, 3, 5]  # late once, then back on the grid
 
 
 def test_the_loop_ends_when_told() -> None:

@@ -111,6 +111,25 @@ def test_hold_stops_the_motors() -> None:
     assert bench.driver.phase is Phase.HOLDING
 
 
+def test_a_speed_confirmed_after_hold_does_not_count_as_zero() -> None:
+    bench = Bench().started()
+    bench.run(200, command=(100.0, 100.0))
+    while not bench.sent[-1].startswith(b"!S"):
+        bench.run(1, command=(100.0, 100.0))
+    bench.driver.hold()
+    bench.driver.feed(b"!S 1 100\r+\r!S 2 100\r+\r", bench.now_ms * 1e-3)
+    assert bench.driver.phase is Phase.ZEROING
+    bench.run(100)
+    assert bench.driver.phase is Phase.HOLDING
+
+
+def test_a_drive_that_is_not_ready_is_not_released() -> None:
+    bench = Bench()
+    bench.run(10)
+    assert not bench.driver.release()
+    assert bench.driver.phase is not Phase.RUNNING
+
+
 def test_after_a_gap_the_old_speed_does_not_come_back() -> None:
     bench = Bench().started()
     bench.run(1000, command=(200.0, -200.0))
@@ -205,6 +224,15 @@ def test_a_flag_is_believed_when_read_twice() -> None:
     bench.controller.fault_flags = int(FaultFlag.UNDERVOLTAGE | FaultFlag.SHORT_CIRCUIT)
     bench.run(300, command=(0.0, 0.0))
     assert bench.driver.flags["FF"] == 12
+
+
+def test_a_flag_that_is_read_once_is_noise() -> None:
+    bench = Bench().started()
+    while bench.sent[-1] != b"?FF\r":
+        bench.run(1, command=(0.0, 0.0))
+    bench.driver.feed(b"?FF\rFF=8\r", bench.now_ms * 1e-3)
+    bench.run(500, command=(0.0, 0.0))
+    assert bench.driver.flags["FF"] == 0
 
 
 @settings(max_examples=15, deadline=None)

@@ -115,10 +115,20 @@ def test_a_clock_that_really_jumped_is_followed_after_five_rejections() -> None:
     assert sync.to_host(board.clock_us(end_s)) == pytest.approx(end_s, abs=1e-3)
 
 
+def test_frames_of_different_length_do_not_shift_the_clock() -> None:
+    sync = ClockSync()
+    for k in range(20):
+        sent_s = 0.5 * k
+        arrived_us = round((sent_s + 0.001) * 1e6)
+        sync.add(sent_s, sent_s + 0.011, arrived_us, arrived_us, wire_up_s=0.001, wire_down_s=0.010)
+    assert sync.to_host(9_000_000) == pytest.approx(9.0, abs=50e-6)
+
+
 def test_times_survive_the_wrap_of_the_microsecond_counter() -> None:
     sync, board = ClockSync(), Board(offset_s=4294.967296 - 20.0)
     end_s = board.run(sync, 0.0, 60.0)
     assert board.clock_us(19.0) > board.clock_us(21.0)
+    assert sync.rejected == 0
     assert sync.to_host(board.clock_us(end_s)) == pytest.approx(end_s, abs=1e-3)
 
 

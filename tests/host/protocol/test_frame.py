@@ -125,6 +125,13 @@ def test_what_is_damaged_is_counted_once_by_its_first_cause(stream: bytes, cause
     assert decoder.feed(encode_message(STATE, 1)) == [(1, STATE)]
 
 
+def test_a_chunk_one_byte_too_long_is_known_by_its_length_in_whatever_pieces() -> None:
+    decoder = FrameDecoder(KNOWN)
+    for piece in (b"\0", b"\x02" * MAX_CHUNK_BYTES, b"\x02", b"\0"):
+        decoder.feed(piece)
+    assert rejects(decoder) == {RejectCause.LENGTH: 1}
+
+
 def test_a_banner_of_text_costs_one_refusal_and_no_frame() -> None:
     decoder = FrameDecoder(KNOWN)
     banner = b"\r\nTIGER mega_suspension v1.0 built with love\r\nloop 1 ok\r\n" * 3
