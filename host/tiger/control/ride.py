@@ -122,6 +122,7 @@ class RideModel:
     h: Array
     j: Array
     process: Array
+    period_s: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,7 +215,7 @@ def ride_model(
     selector = np.zeros((4, size))
     selector[np.arange(sources), height] = 1.0
     if preview_s is None:
-        return _assemble(transition, constant[:, :4], imu, regulated, selector, process)
+        return _assemble(transition, constant[:, :4], imu, regulated, selector, process, period_s)
 
     whole, part = divmod(preview_s / period_s, 1.0)
     taps = int(whole) + 1
@@ -234,7 +235,7 @@ def ride_model(
     selector[2:] = now
     b = np.vstack([constant[:, :4], np.zeros((2 * taps, 4))])
     process = block_diag(process, np.zeros((2 * taps, 2 * taps)))
-    return _assemble(shift, b, imu, regulated, selector, process)
+    return _assemble(shift, b, imu, regulated, selector, process, period_s)
 
 
 def design(
@@ -249,29 +250,43 @@ def design(
     if delay_samples not in (0, 1):
         raise ValueError(f"the force may act 0 or 1 samples late, not {delay_samples}")
     filtered = steady_state_gain(model.a, model.c, model.process, noise.covariance())
-    feedback = _regulate(model, weights)
+    feedback = regulate(model, weights).gain
     return RideController(model, filtered.gain, feedback, delay_samples, max_force_n)
 
 
-def _regulate(model: RideModel, weights: RideWeights) -> Array:
-    """Return the feedback of car states and the feed-forward of road states, shape (4, n).
+@dataclass(frozen=True, slots=True, eq=False)
+class Feedback:
+    """Force = -gain @ s, gain (4, n), and the least cost s' cost s from state s of the car on its road, (n,
+    n)."""
 
-    The road is out of reach, so the Riccati equation is that of the car's 14 states alone; the block of the
-    cost that joins car and road then follows from the linear equation P = A_c'(E' + P S) + Q - G'N.
+    gain: Array
+    cost: Array
+
+
+def regulate(model: RideModel, weights: RideWeights) -> Feedback:
+    """Return the feedback of car states together with the feed-forward of road states.
+
+    The road is out of reach, so the Riccati equation is that of the car's 14 states alone; the blocks of the
+    cost that join car and road, and road and road, then follow from linear equations P = A' P S + Q.
     """
     n = CAR_STATES
     car, from_road, road = model.a[:n, :n], model.a[:n, n:], model.a[n:, n:]
     b = model.b[:n]
-    force = np.eye(4) * weights.force
-    q, r, cross = output_weights(model.h, model.j, weights.of_outputs(), force)
+    q, r, cross = output_weights(model.h, model.j, weights.of_outputs(), np.eye(4) * weights.force)
     regulator = dlqr(car, b, q[:n, :n], r, cross[:n])
     constant = (
         regulator.closed_loop.T @ regulator.cost @ from_road + q[:n, n:] - regulator.gain.T @ cross[n:].T
     )
     joint = _stein(regulator.closed_loop.T, road, constant)
     inner = r + b.T @ regulator.cost @ b
-    forward = np.linalg.solve(inner, b.T @ (regulator.cost @ from_road + joint @ road) + cross[n:].T)
-    return np.hstack([regulator.gain, forward])
+    drive = b.T @ (regulator.cost @ from_road + joint @ road) + cross[n:].T
+    gain = np.hstack([regulator.gain, np.linalg.solve(inner, drive)])
+    seen = joint.T @ from_road
+    rest = (
+        from_road.T @ regulator.cost @ from_road + road.T @ seen + seen.T @ road + q[n:, n:]
+    ) - drive.T @ np.linalg.solve(inner, drive)
+    road_cost = _stein(road.T, road, rest)
+    return Feedback(gain, np.block([[regulator.cost, joint], [joint.T, road_cost]]))
 
 
 def _stein(left: Array, right: Array, constant: Array) -> Array:
@@ -307,11 +322,17 @@ def _sampled_noise(a: Array, intensity: Array, period_s: float) -> Array:
 
 
 def _assemble(
-    a: Array, b: Array, imu: LinearModel, regulated: LinearModel, road: Array, process: Array
+    a: Array,
+    b: Array,
+    imu: LinearModel,
+    regulated: LinearModel,
+    road: Array,
+    process: Array,
+    period_s: float,
 ) -> RideModel:
     """Put measured and regulated outputs, which see the car's states, the road (4, n) and the force, on the
     model."""
     rest = np.zeros((1, len(a) - CAR_STATES))
     c = np.hstack([imu.c, np.repeat(rest, len(imu.c), axis=0)])
     h = np.hstack([regulated.c, np.repeat(rest, len(regulated.c), axis=0)]) + regulated.d[:, :4] @ road
-    return RideModel(a, b, c, imu.d, h, regulated.d[:, 4:], process)
+    return RideModel(a, b, c, imu.d, h, regulated.d[:, 4:], process, period_s)
