@@ -37,9 +37,12 @@ class ImuChecks {
   static constexpr int16_t kMagImpossible = 8000;  // 500 uT on one axis
   static constexpr uint8_t kBadSamples = 2;        // zero or impossible
   static constexpr uint8_t kRailSamples = 3;
-  static constexpr uint8_t kSuspectRepeats = 2;      // from here on a sample is not used
-  static constexpr uint8_t kStuckRepeats = 3;        // both sensors: by chance once in 1e9 samples
-  static constexpr uint8_t kStuckRepeatsOfOne = 10;  // one sensor alone repeats by chance far more often
+  // Repetitions in a row from which a sample is not used, and from which the sensor is broken. Both sensors repeat
+  // by chance three times once in 1e9 samples, one alone far more often.
+  static constexpr uint8_t kSuspectBoth = 2;
+  static constexpr uint8_t kStuckBoth = 3;
+  static constexpr uint8_t kSuspectOne = 3;
+  static constexpr uint8_t kStuckOne = 10;
 
   void reset() { *this = ImuChecks(); }
 
@@ -58,14 +61,12 @@ class ImuChecks {
     ImuVerdict v;
     v.repeated = both > 0;
     v.saturated = accel_rail || gyro_rail;
-    v.accel_ok =
-        !accel_impossible && !accel_rail && both < kSuspectRepeats && accel_repeats_ < kStuckRepeatsOfOne;
-    v.gyro_ok =
-        !gyro_impossible && !gyro_rail && both < kSuspectRepeats && gyro_repeats_ < kStuckRepeatsOfOne;
+    v.accel_ok = !accel_impossible && !accel_rail && both < kSuspectBoth && accel_repeats_ < kSuspectOne;
+    v.gyro_ok = !gyro_impossible && !gyro_rail && both < kSuspectBoth && gyro_repeats_ < kSuspectOne;
     v.mag_fresh = !started_ || !same(now.mag, last_.mag);
     v.mag_ok = sum(now.mag) >= kMagLeast && !beyond(now.mag, kMagImpossible);
-    v.faulty = bad_samples_ >= kBadSamples || rail_samples_ >= kRailSamples || both >= kStuckRepeats ||
-               accel_repeats_ >= kStuckRepeatsOfOne || gyro_repeats_ >= kStuckRepeatsOfOne;
+    v.faulty = bad_samples_ >= kBadSamples || rail_samples_ >= kRailSamples || both >= kStuckBoth ||
+               accel_repeats_ >= kStuckOne || gyro_repeats_ >= kStuckOne;
 
     if (!gyro_impossible || bad_samples_ >= kBadSamples) copy(good_gyro_, now.gyro);
     last_ = now;
