@@ -26,6 +26,7 @@ COMMANDS = {
     "emulate": Entry("tiger.cli.emulate", "emulate", "Serve the emulated robot behind pseudo-terminals."),
     "doctor": Entry("tiger.cli.doctor", "doctor", "Find out what keeps the robot from being reached."),
     "protocol": Entry("tiger.cli.protocol", "app", "Read frames and captures of the wire as text."),
+    "log": Entry("tiger.cli.log", "app", "Look into a recorded run: plot, export, replay."),
     "study": Entry("tiger.cli.study", "app", "Run an experiment of the dissertation again."),
 }
 
