@@ -51,9 +51,9 @@ def _numbers(value: Any) -> Iterator[float]:
 
 def _filled(like: Any, rest: Iterator[float]) -> Any:
     if dataclasses.is_dataclass(like) and not isinstance(like, type):
-        return type(like)(*(_filled(getattr(like, field.name), rest) for field in dataclasses.fields(like)))
+        return type(like)(*[_filled(getattr(like, field.name), rest) for field in dataclasses.fields(like)])
     if isinstance(like, tuple):
-        return tuple(_filled(element, rest) for element in like)
+        return tuple([_filled(element, rest) for element in like])
     if isinstance(like, np.ndarray):
         numbers = [next(rest) for _ in range(like.size)]
         return np.array(numbers, dtype=like.dtype).reshape(like.shape)

@@ -15,6 +15,8 @@ from tiger.record import Command
 from tiger.rig.virtual import Rig
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from tiger.record import Record
 
 TICKS_PER_S = 200
@@ -48,6 +50,12 @@ def log_run(folder: Path, end_s: float = END_S, part_bytes: int = 64_000_000) ->
     assert log.problem is None
     assert log.dropped_packets == 0
     return Run(folder, rig, records)
+
+
+@pytest.fixture(scope="session")
+def log_a_run() -> Callable[..., Run]:
+    """Return the function that logs a run into a folder."""
+    return log_run
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,86 @@
+"""`tiger log` as a person uses it."""
+
+from __future__ import annotations
+
+import csv
+import json
+from typing import TYPE_CHECKING
+
+from typer.testing import CliRunner
+
+from tiger.cli.log import app
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.host.logs.conftest import Run
+
+
+def _call(*arguments: object, code: int = 0) -> str:
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def test_info_tells_what_happened(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "info.json"
+    text = _call("info", run.folder, "--check", "--json", file)
+    assert "emergency stop by command" in text
+    assert "Every message, checksum and index is right." in text
+    data = json.loads(file.read_text())
+    assert data["ticks"] == len(run.records)
+    assert [change["state"] for change in data["changes"]][-2:] == ["ARMED", "ESTOP"]
+    assert data["findings"] == []
+    assert json.loads(_call("info", run.folder, "--json", "-"))["ticks"] == len(run.records)
+
+
+def test_plot_draws_every_sheet(run: Run, tmp_path: Path) -> None:
+    _call("plot", run.folder, "--out", tmp_path)
+    for name in ("attitude", "strokes", "wheels", "links"):
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_csv_keeps_every_digit(run: Run, tmp_path: Path) -> None:
+    _call("export", "csv", run.folder, "--out", tmp_path, "--topic", "/tiger/tick")
+    with (tmp_path / "tiger-tick.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["tick"]) for row in rows] == [record.tick for record in run.records]
+    for row, record in zip(rows, run.records, strict=True):
+        assert float(row["outputs.estimate.roll_rad"]) == record.outputs.estimate.roll_rad
+        if record.inputs.strokes is not None:
+            assert float(row["inputs.strokes.stroke_mm.2"]) == record.inputs.strokes.stroke_mm[2]
+
+
+def test_the_bytes_of_a_line_are_read_by_the_capture_command(run: Run, tmp_path: Path) -> None:
+    from tiger.cli.protocol import app as protocol
+
+    _call("export", "wire", run.folder, "--out", tmp_path)
+    capture = tmp_path / "wire-emulated-board_suspension-rx.bin"
+    result = CliRunner().invoke(protocol, ["capture", str(capture), "--summary"])
+    assert result.exit_code == 0
+    assert "imu_attitude" in result.output
+
+
+def test_frames_before_the_stop_are_shown_as_messages(run: Run) -> None:
+    text = _call("frames", run.folder)
+    assert "ESTOP" in text
+    assert "imu_attitude: " in text
+    assert "!G 1" in text or "?" in text
+
+
+def test_replay_says_that_every_output_is_the_same(run: Run) -> None:
+    assert "the same to the last bit" in _call("replay", run.folder)
+
+
+def test_replay_with_another_configuration_fails_and_says_where(run: Run, tmp_path: Path) -> None:
+    config = tmp_path / "robot.toml"
+    config.write_text("[leveling]\nacceleration_mmps2 = 60.0\n")
+    text = _call("replay", run.folder, "--config", config, code=1)
+    assert "stroke_rate_mmps" in text
+
+
+def test_a_wrong_path_is_one_clear_line(tmp_path: Path) -> None:
+    for command in (["info"], ["plot"], ["frames"], ["replay"], ["export", "csv"], ["export", "wire"]):
+        text = _call(*command, tmp_path / "none.mcap", code=2)
+        assert "is not there" in text
+        assert text.count("\n") == 1
