@@ -403,7 +403,7 @@ def unusable(message: ImuAttitude) -> bool:
 
 
 def measures(nano: Nano) -> bool:
-    """Its latest messages are good; now and then the chip's clock and the board's make one repeat a sample."""
+    """Its latest messages are good, but for one repeated where the clocks of chip and board drift past."""
     return sum(unusable(message) for message in nano.all(ImuAttitude)[-20:]) <= 2
 
 
