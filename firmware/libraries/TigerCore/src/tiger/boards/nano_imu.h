@@ -71,8 +71,7 @@ class NanoImu : public BoardHooks {
   // Physical value to counts of the wire, held inside its limits.
   TIGER_OUTLINE static int16_t counts(float value, float per_unit, int16_t limit) {
     const float x = value * per_unit;
-    const int32_t n = static_cast<int32_t>(x < 0.0f ? x - 0.5f : x + 0.5f);
-    return n > limit ? limit : static_cast<int16_t>(n < -limit ? -limit : n);
+    return held(static_cast<int32_t>(x < 0.0f ? x - 0.5f : x + 0.5f), limit);
   }
 
   // Three counts of a packed message are written and read as bytes: they need not be aligned.
@@ -88,13 +87,18 @@ class NanoImu : public BoardHooks {
     return fusion::Vec3{static_cast<float>(c[0]), static_cast<float>(c[1]), static_cast<float>(c[2])};
   }
 
+  static int16_t held(int32_t n, int16_t limit) {
+    return n > limit ? limit : static_cast<int16_t>(n < -limit ? -limit : n);
+  }
+
   // Register counts to counts of imu_raw, which have the same scales: only turned into the robot's axes.
   TIGER_OUTLINE void turn(const int16_t* sensor, int16_t limit, void* body) const {
     if (is_turned_) {
       put(body, mounting_ * as_vec(sensor), 1.0f, limit);
-    } else {
-      memcpy(body, sensor, 3 * sizeof(*sensor));
+      return;
     }
+    const int16_t c[3] = {held(sensor[0], limit), held(sensor[1], limit), held(sensor[2], limit)};
+    memcpy(body, c, sizeof(c));
   }
 
   void set_flag(uint8_t bit, bool on) {
@@ -179,13 +183,21 @@ class NanoImu : public BoardHooks {
     ImuSample sample;
     calibrate(sample);
     sample.accel_usable = verdict.accel_ok;
-    sample.may_rest = true;
+    sample.may_rest = may_rest();
     filter_.sense(sample, bridged ? 1e-6f * static_cast<float>(since_us) : 0.0f);
     if (verdict.mag_fresh && verdict.mag_ok) {
       filter_.add_magnetometer(wire::ImuRaw::kMagUtScale * as_vec(raw_.mag_ut));
     }
     if (verdict.accel_ok && settled_ < nano_imu_config::kSettleSamples) settled_++;
     accel_mps2 = sample.accel_mps2;
+  }
+
+  // The body turns slowly and steadily while it levels itself, which looks like rest with a larger bias. Once the
+  // bias is known, such a turn is told from rest by its rate.
+  bool may_rest() const {
+    const fusion::Vec3 rate = filter_.mean_rate_radps();
+    constexpr float kMost2 = nano_imu_config::kRestRateRadps * nano_imu_config::kRestRateRadps;
+    return !is_calibrated_ || fusion::dot(rate, rate) < kMost2;
   }
 
   TIGER_OUTLINE void calibrate(fusion::ImuSample& sample) const {
