@@ -28,6 +28,10 @@ class RideTuning:
 
     weights: RideWeights
     prior: RoadPrior
+    accel_noise_factor: float = 1.0
+    rate_noise_factor: float = 1.0
+    """How much worse than it is the filter takes the IMU to be: what lowers the loop's gain for an unsure
+    vehicle."""
 
     def controller(
         self,
@@ -40,7 +44,10 @@ class RideTuning:
     ) -> RideController:
         """Design the controller for a vehicle: see `ride.ride_model` and `ride.design`."""
         model = ride_model(p, self.prior, preview_s, imu_offset_m)
-        return design(model, self.weights, noise, delay_samples, max_force_n)
+        assumed = ImuNoise(
+            noise.accel_mps2 * self.accel_noise_factor, noise.rate_radps * self.rate_noise_factor
+        )
+        return design(model, self.weights, assumed, delay_samples, max_force_n)
 
     def with_suspension(self, factor: float) -> RideTuning:
         """Return the tuning with `factor` times the weight on suspension travel, to keep to the rattle space.
@@ -57,18 +64,18 @@ class RideTuning:
 
 BUMPY_PREVIEW_TACTICAL = RideTuning(
     RideWeights(
-        pitch_accel=0.406235,
-        roll_accel=6.75256,
-        heave_rate=0.383929,
-        pitch_rate=0.869946,
-        roll_rate=0.0144835,
-        suspension_front=5.92954,
-        suspension_rear=3.73441,
-        tire_front=0.760063,
-        tire_rear=1.34803,
-        force=4.48671e-11,
+        pitch_accel=0.406712,
+        roll_accel=6.58408,
+        heave_rate=0.383451,
+        pitch_rate=0.879838,
+        roll_rate=0.014358,
+        suspension_front=6.01613,
+        suspension_rear=3.69054,
+        tire_front=0.703561,
+        tire_rear=1.37632,
+        force=4.43671e-11,
     ),
-    RoadPrior(noise=0.112325, leak_radps=0.00366546, bandwidth_radps=2.03071, lane_correlation=0.0960332),
+    RoadPrior(noise=0.105999, leak_radps=0.00354651, bandwidth_radps=2.01302, lane_correlation=0.0887016),
 )
 """Bumpy road, wheelbase preview, IMU of 0.03 x the nominal noise: the rows of Table 6.2."""
 
@@ -165,18 +172,20 @@ HOLDING_PREVIEW = RideTuning(
 
 ROBUST = RideTuning(
     RideWeights(
-        pitch_accel=2.5674,
-        roll_accel=0.327203,
-        heave_rate=2.36581,
-        pitch_rate=11.4903,
-        roll_rate=18.0016,
-        suspension_front=3725.99,
-        suspension_rear=540.069,
-        tire_front=7725.48,
-        tire_rear=2341.64,
-        force=5.1309e-09,
+        pitch_accel=2.80574,
+        roll_accel=0.902228,
+        heave_rate=2.13428,
+        pitch_rate=0.061913,
+        roll_rate=17.3685,
+        suspension_front=679.222,
+        suspension_rear=16.0247,
+        tire_front=10546.6,
+        tire_rear=10740.4,
+        force=1.24258e-09,
     ),
-    RoadPrior(noise=0.0320568, leak_radps=57.7512, bandwidth_radps=892.604, lane_correlation=0.171948),
+    RoadPrior(noise=0.0487286, leak_radps=12.2108, bandwidth_radps=167.043, lane_correlation=0.0144245),
+    accel_noise_factor=6.71678,
+    rate_noise_factor=4.54206,
 )
 """ISO class C without preview, nominal IMU, force one period late: for a vehicle that is not known well."""
 
