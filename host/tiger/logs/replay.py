@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from tiger.logs.reader import Log
 
 SHOWN = 20  # differences that are kept in full
+BY_CHECK = {WheelCheck(phase).wheel_rpm for phase in Phase}
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,10 +145,16 @@ class Replay:
         return self._checked(tick, outputs)
 
     def _checked(self, tick: Tick, outputs: Outputs) -> Outputs:
-        """Follow the check of the wheels. What the user wanted is not logged, but that the check began is."""
-        logged = tick.outputs.wheel_rpm
+        """Follow the check of the wheels. What the user wanted is not logged, but that the check began is.
+
+        From a checkpoint on, how far the check was is not known: until a command reaches the controller, which
+        proves that it had passed, what the check may have commanded is believed.
+        """
+        logged, command = tick.outputs.wheel_rpm, tick.inputs.command
+        if self._check is None and (command.speed_mps or command.yaw_rate_radps):
+            self._check = WheelCheck(Phase.PASSED)
         if self._check is None:
-            self._check = WheelCheck(Phase.PASSED if logged == outputs.wheel_rpm else Phase.IDLE)
+            return replace(outputs, wheel_rpm=logged) if logged in BY_CHECK else outputs
         if self._check.passed:
             return outputs
         began = logged == WheelCheck(Phase.LEFT).wheel_rpm

@@ -140,8 +140,7 @@ class LogSession:
         self._add(now_ns, TICK, cdr.message(Tick).pack(tick))
         if control is not None and now_ns - self._checkpoint_ns >= CHECKPOINT_PERIOD_NS:
             self._checkpoint_ns = now_ns
-            point = Checkpoint(record.tick + 1, freeze(control))
-            self._add(now_ns, CHECKPOINT, cdr.message(Checkpoint).pack(point))
+            self._checkpoint(record.tick + 1, control, now_ns)
         self._send(now_ns)
 
     def _health(self, record: Record, now_ns: int) -> None:
@@ -150,6 +149,14 @@ class LogSession:
             return
         self._problems, self._links, self._health_ns = record.problems, record.links, now_ns
         self._add(now_ns, HEALTH, cdr.message(Health).pack(Health(record.problems, record.links)))
+
+    def _checkpoint(self, tick: int, control: ControllerState, now_ns: int) -> None:
+        try:
+            point = Checkpoint(tick, freeze(control))
+        except TypeError as error:  # the robot must not stop for that
+            self.problem = f"log: no checkpoints: {error}"
+            return
+        self._add(now_ns, CHECKPOINT, cdr.message(Checkpoint).pack(point))
 
     def _add(self, t_ns: int, topic: str, data: bytes) -> None:
         if self._socket is None:
