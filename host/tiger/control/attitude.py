@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 _NEAR_LIMIT_MM = 0.5
 _STILL_SMOOTHING_S = 0.2
+_LARGE_ZONES = 3.0
+"""An error of so many dead zones goes before one inside the zone."""
 _SOON = 8.0
 """Waking within this many still times is soon; it is also the most that the still time grows."""
 
@@ -156,7 +158,8 @@ def step(
     if phase.moving:
         speed = suspension.pose(tuple(m * v for m, v in zip(ratio, rate, strict=True)))
         turning = _turning(design, phase, target)
-        wanted = _feedback(design, turning, error, ride_error, present.warp_mm, speed)
+        pressing = _pressing(design, error)
+        wanted = _feedback(design, turning, pressing, ride_error, present.warp_mm, speed)
         limits = _rate_limits(design, stroke_mm, rate)
         goal = _allocate(suspension, wanted, ratio, limits)
     else:
@@ -213,6 +216,15 @@ def _turning(design: LevelingDesign, phase: Phase, target: Target) -> tuple[floa
         target.roll_rate_radps if abs(roll) > design.still_radps else 0.0,
         target.pitch_rate_radps if abs(pitch) > design.still_radps else 0.0,
     )
+
+
+def _pressing(design: LevelingDesign, error: tuple[float, float]) -> tuple[float, float]:
+    """Roll and pitch error without one that is inside the dead zone: it can wait while the other is large."""
+    roll, pitch = error
+    zone = design.wake_moving_rad
+    if max(abs(roll), abs(pitch)) < _LARGE_ZONES * zone:
+        return error
+    return roll if abs(roll) > zone else 0.0, pitch if abs(pitch) > zone else 0.0
 
 
 def _feedback(
