@@ -40,7 +40,7 @@ struct AttitudeTuning {
 
 struct AttitudeGains {
   uint8_t slow_every;
-  uint8_t bias_pause;  // slow steps without bias from motion after a gap
+  uint8_t recovery;  // slow steps after a gap in which the attitude walks and no bias is learnt
   LowPassGains accel;
   RestGains rest;
   BiasGains bias;
@@ -51,9 +51,9 @@ struct AttitudeGains {
 constexpr AttitudeGains attitude_gains(const AttitudeTuning& t) {
   return AttitudeGains{
       t.slow_every,
-      static_cast<uint8_t>(2.0f * t.accel_tau_s / (t.tick_s * static_cast<float>(t.slow_every)) < 255.0f
+      static_cast<uint8_t>(2.0f * t.accel_tau_s / (t.tick_s * static_cast<float>(t.slow_every)) < 254.0f
                                ? 2.0f * t.accel_tau_s / (t.tick_s * static_cast<float>(t.slow_every))
-                               : 255.0f),
+                               : 254.0f),
       low_pass_gains(t.accel_tau_s, t.tick_s),
       rest_gains(t.rest, t.tick_s),
       bias_gains(t.bias, t.accel_tau_s, t.tick_s * static_cast<float>(t.slow_every)),
@@ -83,8 +83,8 @@ class AttitudeFilter {
     inertial_ = inclination_ = earth_ = identity();
     up_ = Vec3{0.0f, 0.0f, 0.0f};
     tilt_x_ = tilt_y_ = 0.0f;
-    phase_ = bias_pause_ = 0;
-    mag_waiting_ = started_ = walking_ = has_up_ = false;
+    phase_ = recovery_ = 0;
+    mag_waiting_ = started_ = has_up_ = false;
   }
 
   void start_bias_from(const Vec3& bias_radps) { bias_.start_from(bias_radps); }
@@ -116,11 +116,11 @@ class AttitudeFilter {
   }
 
   // Call before the first sample after a gap. The body may have turned meanwhile: gravity is averaged afresh and
-  // the attitude walks to it, without a jump; what the gap did is not taken for gyroscope bias.
+  // the attitude walks to it, without a jump, until the average has settled; what the gap did is not taken for
+  // gyroscope bias.
   void resume() {
     accel_low_pass_.reset();
-    walking_ = true;
-    bias_pause_ = load(gains_.bias_pause);
+    recovery_ = load(gains_.recovery);
   }
 
   // Body to earth.
@@ -172,16 +172,16 @@ class AttitudeFilter {
 
   // The turn that takes (tilt_x_, tilt_y_, up_z) upright, or one step of the walk towards it; any length.
   Quat turn_upright(float up_z) {
-    const float twice = walking_ && limit_tilt() ? 2.0f : 1.0f + up_z;
+    const float twice = recovery_ > 0 && limit_tilt() ? 2.0f : 1.0f + up_z;
     if (twice > 1e-6f) return Quat{twice, {tilt_y_, -tilt_x_, 0.0f}};
     return Quat{0.0f, {1.0f, 0.0f, 0.0f}};  // upside down: about any horizontal axis
   }
 
-  // Shortens the tilt to one step of the walk; false when it was that short already: the walk has arrived.
+  // Shortens the tilt to one step of the walk; false when it was that short already.
   bool limit_tilt() {
     const float tilt2 = tilt_x_ * tilt_x_ + tilt_y_ * tilt_y_;
-    walking_ = tilt2 > kWalkStepRad * kWalkStepRad;
-    if (!walking_) return false;
+    if (tilt2 <= kWalkStepRad * kWalkStepRad) return false;
+    recovery_++;  // the walk takes its time; the average settles only after it
     const float shorten = kWalkStepRad / sqrtf(tilt2);
     tilt_x_ *= shorten;
     tilt_y_ *= shorten;
@@ -189,10 +189,10 @@ class AttitudeFilter {
   }
 
   TIGER_OUTLINE void update_bias() {
-    if (rest_.resting()) {
+    if (recovery_ > 0) {
+      recovery_--;
+    } else if (rest_.resting()) {
       bias_.update_at_rest(gains_.bias, rest_.gyro_mean());
-    } else if (bias_pause_ > 0) {
-      bias_pause_--;
     } else {
       bias_.update_in_motion(gains_.bias, tilt_x_, tilt_y_);
     }
@@ -225,8 +225,8 @@ class AttitudeFilter {
   RestDetector rest_;
   GyroBias bias_;
   Heading heading_;
-  uint8_t phase_, bias_pause_;
-  bool mag_waiting_, started_, walking_, has_up_;
+  uint8_t phase_, recovery_;
+  bool mag_waiting_, started_, has_up_;
 };
 
 }  // namespace fusion
