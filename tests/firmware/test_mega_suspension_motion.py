@@ -312,3 +312,14 @@ def test_arming_moves_nothing(rig):
     rig.run_ms(1000)
     assert all(seen)
     assert rig.wire.last(SuspensionState).state == BoardState.ARMED
+
+
+@pytest.mark.parametrize("creep_mm", [0.18, -0.18])
+def test_a_stroke_that_creeps_off_its_target_is_put_back(armed, creep_mm):
+    before = armed.strokes_mm[1]
+    armed.actuators[1].motor_mm += creep_mm
+    armed.actuators[1].stroke_mm += creep_mm
+    armed.run_ms(1000)
+    assert armed.strokes_mm[1] == pytest.approx(before, abs=0.1)
+    assert armed.is_off
+    assert armed.faults() == set()
