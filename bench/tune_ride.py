@@ -223,8 +223,8 @@ def main() -> None:
     goal = GOALS[arguments.name]()
     if arguments.power is not None:
         goal.power = arguments.power
-    if arguments.name == "robust" and len(start) == 14:
-        start = np.append(start, np.log([10.0, 3.0]))
+    if arguments.name in ("robust", "bumpy-plain-x1") and len(start) == 14:
+        start = np.append(start, np.log([10.0, 3.0]) if arguments.name == "robust" else [0.0, 0.0])
     minimise(goal, start, arguments.step, arguments.minutes, arguments.name)
 
 

@@ -65,29 +65,26 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IsoRoad:
-    """A random road of ISO 8608: cosines of spatial frequency `cycles_per_m` (k,) with random phases.
+    """A random road of ISO 8608: cosines at consecutive harmonics of 1 / period, with random phases.
 
     Each lane is sum A cos(2 pi n x + phase) less its value at x = 0, so that it starts without a step.
     """
 
-    cycles_per_m: Array
-    amplitude_m: Array
-    phase_rad: Array
-    """Shape (2, 2, k): (lane, part, frequency); a lane is the sum of its parts."""
-    part_gain: Array
-    """Shape (2, k): share of the amplitude that both lanes have in common, and that is the lane's own."""
+    period_m: float
+    first_harmonic: int
+    phasors_m: NDArray[np.complexfloating[Any, Any]]
+    """A exp(i phase) of each lane and harmonic, shape (2, k)."""
 
     def height_m(self, position_m: ArrayLike, lane: int) -> Array:
         """Height at each position of the lane, zero for positions before the start."""
         x = np.asarray(position_m, dtype=float)
-        on = np.maximum(x, 0.0)[..., None] * (2 * np.pi * self.cycles_per_m)
-        total = np.zeros(x.shape)
-        for part in range(2):
-            phase = self.phase_rad[lane, part]
-            amplitude = self.amplitude_m * self.part_gain[part]
-            if amplitude.any():
-                total += np.cos(on + phase) @ amplitude - np.cos(phase) @ amplitude
-        return np.where(x > 0, total, 0.0)
+        turn = np.exp(2j * np.pi / self.period_m * np.maximum(x, 0.0))
+        total = np.zeros(x.shape, dtype=complex)
+        for phasor in self.phasors_m[lane, ::-1]:  # Horner: one multiplication per harmonic, no cosine
+            total *= turn
+            total += phasor
+        start = float(self.phasors_m[lane].sum().real)
+        return np.where(x > 0, (total * turn**self.first_harmonic).real - start, 0.0)
 
 
 def iso_road(
@@ -112,14 +109,15 @@ def iso_road(
     if not 0 < low < high:
         raise ValueError(f"the band {low} to {high} cycles/m is empty or reaches zero: give 0 < low < high")
     rng = np.random.default_rng(seed)
-    dn = 1.0 / period_m
-    n = np.arange(np.ceil(low / dn - 1e-9), np.floor(high / dn + 1e-9) + 1) * dn
+    harmonic = np.arange(int(np.ceil(low * period_m - 1e-9)), int(np.floor(high * period_m + 1e-9)) + 1)
+    n = harmonic / period_m
     density = ISO_ROUGHNESS_M3[road_class] * (n / REFERENCE_CYCLES_PER_M) ** -2
-    own = rng.uniform(0, 2 * np.pi, (2, len(n)))
-    shared = rng.uniform(0, 2 * np.pi, len(n))
-    phase = np.stack([np.stack([shared, shared]), own], axis=1)
+    amplitude = np.sqrt(2 * density / period_m)
+    own = np.exp(1j * rng.uniform(0, 2 * np.pi, (2, len(n))))
+    shared = np.exp(1j * rng.uniform(0, 2 * np.pi, len(n)))
     common = np.exp(-2 * np.pi * n * coherence_length_m)  # share of the power; coherence is its square
-    return IsoRoad(n, np.sqrt(2 * density * dn), phase, np.stack([np.sqrt(common), np.sqrt(1 - common)]))
+    phasors = amplitude * (np.sqrt(common) * shared + np.sqrt(1 - common) * own)
+    return IsoRoad(period_m, int(harmonic[0]), phasors)
 
 
 def rear_delay_s(wheelbase_m: float, speed_mps: float) -> float:
