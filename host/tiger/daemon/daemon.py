@@ -360,7 +360,8 @@ class Daemon:
     def _stop_everything(self, state: DaemonState) -> None:
         self._arm_until_s = -math.inf
         link = self.boards.link(SUSPENSION)
-        if link is not None and state is not DaemonState.ESTOP:
+        # A board that stopped by itself keeps its fault until it is cleared: DISARM would wipe it out.
+        if link is not None and state is not DaemonState.ESTOP and self._board_state in ENGAGED_STATES:
             link.request(Disarm(0), urgent=True)
         for drive in self.drives:
             drive.driver.hold()
@@ -493,6 +494,8 @@ class Daemon:
     def _housekeeping(self, now_s: float) -> None:
         """Open ports, and gather what people want to see: too slow for every tick."""
         self._housekeeping_due = False
+        if self.state in (DaemonState.FAULT, DaemonState.ESTOP):
+            self.latched = tuple(dict.fromkeys((*self.latched, *self._device_faults())))
         self.boards.step(now_s)
         for drive in self.drives:
             drive.step(now_s)
