@@ -147,8 +147,8 @@ class Replay:
     def _checked(self, tick: Tick, outputs: Outputs) -> Outputs:
         """Follow the check of the wheels. What the user wanted is not logged, but that the check began is.
 
-        From a checkpoint on, how far the check was is not known: until a command reaches the controller, which
-        proves that it had passed, what the check may have commanded is believed.
+        From a checkpoint on, how far the check was is not known: until a command reaches the controller,
+        which proves that it had passed, what the check may have commanded is believed.
         """
         logged, command = tick.outputs.wheel_rpm, tick.inputs.command
         if self._check is None and (command.speed_mps or command.yaw_rate_radps):

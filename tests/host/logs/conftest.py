@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tiger.record import Record
 
 TICKS_PER_S = 200
-ARM_S, DRIVE_S, STOP_S, END_S = 5.0, 8.0, 13.0, 14.0
+ARM_S, DRIVE_S, STOP_S, END_S = 3.0, 6.0, 9.5, 10.0
 EPOCH_NS = 1_700_000_000_000_000_000
 
 

@@ -57,7 +57,7 @@ def test_another_configuration_is_seen_to_command_otherwise(run: Run) -> None:
     found = replay(open_log(run.folder), other)
     assert not found.exact
     assert found.worst["stroke_rate_mmps[0]"] > 0.1
-    assert found.first[0].tick > 900
+    assert found.first[0].tick > 500
     assert "stroke_rate_mmps" in str(found.first[0])
 
 

@@ -108,7 +108,7 @@ def test_every_byte_of_every_line_is_in_the_log(run: Run) -> None:
 
 
 def test_the_last_hundred_frames_of_every_link_are_with_the_fault(run: Run) -> None:
-    ((_, report),) = summarise(open_log(run.folder)).faults
+    _, report = summarise(open_log(run.folder)).faults[-1]
     assert report.state is DaemonState.ESTOP
     received = [frame for frame in report.frames if not frame.sent]
     ports = {frame.port for frame in received}
@@ -240,7 +240,7 @@ def test_health_is_said_again_after_a_gap(run: Run, robot, tmp_path: Path) -> No
 def test_a_log_grows_in_parts_and_each_says_what_it_is_about(
     log_a_run: Callable[..., Run], tmp_path: Path
 ) -> None:
-    again = log_a_run(tmp_path, part_bytes=300_000)
+    again = log_a_run(tmp_path, end_s=5.0, part_bytes=150_000)
     log = open_log(tmp_path)
     assert len(log.files) > 2
     assert [record for _, record in log.records()] == again.records
@@ -248,7 +248,7 @@ def test_a_log_grows_in_parts_and_each_says_what_it_is_about(
         assert examine(file.path) == []
         assert file.about["part"] == str(i)
         assert set(file.attachments) == {"robot.json", "tiger.toml"}
-        assert file.path.stat().st_size < 600_000
+        assert file.path.stat().st_size < 400_000
         _, first = next(open_log(file.path).records())
         assert first == again.records[first.tick]  # the links' health included
 
