@@ -57,6 +57,9 @@ class DriveState:
     wheel_trim_rpm: Four = STILL
 
 
+_STANDING = DriveState()
+
+
 def design_drive(robot: RobotConfig) -> DriveDesign:
     """Tabulate the track over the stroke; wheel speeds stay below both the motor's and the safety limit."""
     config, vehicle = robot.drive, robot.vehicle
@@ -78,8 +81,9 @@ def step(
 ) -> tuple[DriveState, Four]:
     """Advance by `dt` and return the wheel speeds in rpm, forward positive."""
     config = design.config
-    if not config.enabled:
-        return DriveState(), STILL
+    standing = command.speed_mps == 0.0 == command.yaw_rate_radps and state == _STANDING
+    if standing or not config.enabled:
+        return _STANDING, STILL
     top, top_yaw = config.max_speed_mps, math.radians(config.max_yaw_rate_degps)
     yaw_acceleration = math.radians(config.yaw_acceleration_degps2)
     wanted = min(top, max(-top, command.speed_mps))

@@ -67,8 +67,13 @@ class Rhythm:
         return enough and self.miss2 < (_MISS_SHARE * self.amplitude_rad) ** 2
 
 
+_STILL = Rhythm()
+
+
 def learn(state: Rhythm, angle_rad: float, rate_radps: float, dt: float) -> Rhythm:
     """Advance by `dt` with the ground's present angle and rate."""
+    if state.direction == 0 and abs(rate_radps) < _TURNING_RADPS:
+        return _STILL
     state = _time_turning_points(state, angle_rad, rate_radps, dt)
     w = state.frequency_radps
     if w == 0.0:
@@ -100,7 +105,7 @@ def _time_turning_points(state: Rhythm, angle_rad: float, rate_radps: float, dt:
     if abs(rate_radps) < _TURNING_RADPS:
         still_s = state.still_s + dt
         if still_s > _STILL_S:
-            return Rhythm(still_s=still_s)
+            return _STILL
         return replace(state, half_period_s=state.half_period_s + dt, still_s=still_s)
     direction = 1 if rate_radps > 0.0 else -1
     half_period_s = state.half_period_s + dt

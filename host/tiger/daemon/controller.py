@@ -140,7 +140,9 @@ def _target(design: ControllerDesign, command: Command, known: _Known) -> tuple[
     refuse = design.robot.leveling.out_of_reach == "refuse"
     if refuse and mode.has_attitude and not design.leveling.suspension.reachable(roll, pitch):
         return None, f"{command.mode}: refused, the strokes do not reach this attitude"
-    target = mode.target(design, replace(command, roll_rad=roll, pitch_rad=pitch), known)
+    if (roll, pitch) != (command.roll_rad, command.pitch_rad):
+        command = replace(command, roll_rad=roll, pitch_rad=pitch)
+    target = mode.target(design, command, known)
     if target is not None and target.unreachable:
         return target, f"{command.mode}: out of reach, holding the nearest attitude"
     return target, str(command.mode)
