@@ -44,8 +44,7 @@ class WheelDiagnosis {
     }
     other_edges_ = static_cast<uint16_t>(other_edges_ + other_moved);
     const bool other_rolls = other_edges_ >= speed_config::kDeadOtherEdges;
-    dead_ = dead_ || crossings >= speed_config::kDeadCrossingsAlone ||
-            (other_rolls && crossings >= speed_config::kDeadCrossings);
+    dead_ = dead_ || (other_rolls && crossings >= speed_config::kDeadCrossings);
   }
 
   void judge_illegal(const WheelSpeed& wheel) {

@@ -11,11 +11,10 @@ constexpr uint32_t kObservePeriod_us = 1000;  // edges are taken over from the i
 constexpr uint32_t kReportPeriod_us = 10000;  // speed, diagnosis, telemetry, watchdog
 
 // One of the two signals does not change: so many crossings of one and the same edge in a row. A wheel that
-// trembles at rest does that too, so the other wheel of the side decides: it has moved on by two teeth meanwhile.
-// Without it (both are lame) only a long row counts.
+// trembles at rest does that too, for as long as it stands, so the other wheel of the side decides: it has moved on
+// by two teeth meanwhile.
 constexpr uint8_t kDeadCrossings = 12;
 constexpr uint8_t kDeadOtherEdges = 8;
-constexpr uint8_t kDeadCrossingsAlone = 96;
 
 // The two wheels of a side turn opposite ways for so many edges, both faster than a crawl: one pair of signals is
 // swapped or one motor reversed.
