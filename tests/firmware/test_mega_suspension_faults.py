@@ -219,7 +219,7 @@ def test_a_pressed_switch_at_its_end_bars_its_direction_only(make_rig, side, rat
     rig.boot()
     rig.arm()
     rig.rates_mmps = (rate,) * 4
-    rig.run_ms(60)
+    rig.run_ms(45)
     duties = rig.board.drive()
     assert duties[CORNER] == 0.0
     assert duties[0] * rate > 0

@@ -119,10 +119,8 @@ class Diagnosis {
     const int32_t allowed = coast < 0 ? kReversedWay - coast : kReversedWay;
     const bool backwards = way < -allowed && way < expected - 2 * kReversedWay;
     backwards_ticks_ = backwards ? count(backwards_ticks_) : 0;
-    if (backwards)
-      return backwards_ticks_ < kReversedTicks ? Fault::kNone
-             : ran_while_off_                  ? Fault::kDriver
-                                               : Fault::kReversed;
+    if (backwards_ticks_ >= kReversedTicks) return ran_while_off_ ? Fault::kDriver : Fault::kReversed;
+    if (backwards) return Fault::kNone;
     if (expected < jam_way_) return Fault::kNone;
     if (way < expected >> 2) return Fault::kJam;
     anchor(reading);
