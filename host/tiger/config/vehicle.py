@@ -124,9 +124,17 @@ class MechanismConfig(_Section):
     """Approximate arm angle (positive = body raised) at zero stroke; it only selects the assembly."""
 
 
+class PayloadConfig(_Section):
+    """A compact load fixed to the body; `place_m` is its COM relative to that of the empty body (x, y, z)."""
+
+    mass_kg: Positive
+    place_m: tuple[Finite, Finite, Finite]
+
+
 class VehicleConfig(_Section):
     """All numbers of one vehicle.
 
+    A `payload` weighs on the 14-DOF model of it; controllers do not know of it.
     `drive` is None where wheel torque is not limited, `eam` where there is no mechanism (the two cars).
     `imu_offset_m` is the IMU's place relative to the COM, in body axes (x forward, y left, z up).
     """
@@ -138,6 +146,7 @@ class VehicleConfig(_Section):
     actuator: ActuatorConfig
     drive: DriveConfig | None = None
     eam: MechanismConfig | None = None
+    payload: PayloadConfig | None = None
     imu_offset_m: tuple[Finite, Finite, Finite]
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""What happens to the emulated robot: its start, the motion of the plate it stands on, and planned faults.
+"""What happens to the emulated robot: its start, the ground, the way it drives, and planned faults.
 
 A scenario is a TOML file, loaded by the name of one that comes with the package or by path:
 
@@ -6,6 +6,53 @@ A scenario is a TOML file, loaded by the name of one that comes with the package
     duration_s = 60.0
     initial_stroke_mm = [35.0, 35.0, 35.0, 35.0]   # FL FR RL RR; left out: mid-stroke
     sensor_noise = true                            # false: perfect sensors
+    model = "vehicle"                              # 14 DOF; "linear": 7 DOF on the plate, wheels as on stands
+    friction = 0.8                                 # of every tyre; left out: the vehicle's own
+    soil = "dry-sand"                              # loose ground, a preset or a file; left out: hard ground
+
+    [start]                   # each 0 when left out
+    x_m = 0.0
+    y_m = 0.0
+    yaw_deg = 0.0             # + turns left
+    speed_mps = 0.0
+
+    [payload]                 # a load on the body
+    mass_kg = 20.0
+    place_m = [0.2, 0.0, 0.2] # from the COM of the empty body: forward, left, up
+
+    [terrain]                 # the sum of all that is given; none: level
+    climb_deg = 0.0           # slope along x
+    left_up_deg = 0.0         # slope along y
+    twist_deg_per_m = 0.0     # how much the cross slope grows with x
+
+    [[terrain.bump]]          # one period of height (1 - cos)/2 along x
+    height_m = 0.05
+    start_m = 2.0
+    length_m = 1.0
+    right_m = 0.0             # from y = right_m to left_m; left out: all the way
+    left_m = 2.0
+
+    [[terrain.step]]          # raised ground with smooth ramps: a curb is a short ramp without an end
+    height_m = 0.05
+    start_m = 2.0
+    length_m = 3.0            # left out: without end
+    ramp_m = 0.1
+
+    [terrain.rough]           # rolling ground, equally rough in every direction
+    roughness = "D"           # class of ISO 8608, A to H
+    size_m = [60.0, 20.0]     # from x = 0, on both sides of y = 0; the rim's height goes on beyond
+    shortest_wave_m = 1.0
+    seed = 1
+
+    [terrain.road]            # a random road of ISO 8608 from x = 0, one profile under each wheel track
+    roughness = "C"
+    length_m = 100.0
+    seed = 1
+
+    [[drive]]                 # the drive that `tiger run --emulate` commands from a time on, once armed
+    at_s = 5.0
+    speed_mps = 0.5
+    yaw_rate_degps = 0.0
 
     [[plate]]                 # a raised-cosine ramp from wherever the axis stands to `to_deg`, then held
     axis = "roll"             # roll (+ = left side up) or pitch (+ = nose down)
@@ -43,11 +90,17 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from tiger.config.errors import ConfigError
+from tiger.config.vehicle import PayloadConfig
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
 Angle = Annotated[float, Field(ge=-45.0, le=45.0, strict=True)]
+Roughness = Literal["A", "B", "C", "D", "E", "F", "G", "H"]
+Seed = Annotated[int, Field(ge=0, strict=True)]
+
+FAR_M = 1e6
+"""Beyond where any robot gets: a feature without an end."""
 
 
 class _Section(BaseModel):
@@ -92,6 +145,75 @@ class PlateSegment(_Section):
         return f"{self.axis} segment at {self.at_s:g} s"
 
 
+class Start(_Section):
+    """Where the robot stands or rolls at the start."""
+
+    x_m: Finite = 0.0
+    y_m: Finite = 0.0
+    yaw_deg: Finite = 0.0
+    speed_mps: Finite = 0.0
+
+
+class BumpConfig(_Section):
+    """One period of height (1 - cos)/2 along x, between two sides."""
+
+    height_m: Finite
+    start_m: Finite
+    length_m: Positive
+    right_m: Finite = -FAR_M
+    left_m: Finite = FAR_M
+
+
+class StepConfig(BumpConfig):
+    """Raised ground with smooth ramps at both ends."""
+
+    length_m: Positive = FAR_M
+    ramp_m: NonNegative = 0.1
+
+
+class RoughConfig(_Section):
+    """Isotropic rough ground of a class of ISO 8608."""
+
+    roughness: Roughness
+    size_m: tuple[Positive, Positive] = (60.0, 20.0)
+    shortest_wave_m: Positive = 1.0
+    seed: Seed = 0
+
+
+class RoadConfig(_Section):
+    """A random road of ISO 8608, the same across each half."""
+
+    roughness: Roughness
+    length_m: Positive = 100.0
+    seed: Seed = 0
+
+
+class TerrainConfig(_Section):
+    """The ground: a sum of a plane, features, and rough ground or a road."""
+
+    climb_deg: Angle = 0.0
+    left_up_deg: Angle = 0.0
+    twist_deg_per_m: Angle = 0.0
+    bump: tuple[BumpConfig, ...] = ()
+    step: tuple[StepConfig, ...] = ()
+    rough: RoughConfig | None = None
+    road: RoadConfig | None = None
+
+    @model_validator(mode="after")
+    def _one_height_field(self) -> Self:
+        if self.rough is not None and self.road is not None:
+            raise ValueError("there is one height field: give [terrain.rough] or [terrain.road], not both")
+        return self
+
+
+class DriveEvent(_Section):
+    """A speed and yaw rate commanded from a time on."""
+
+    at_s: NonNegative
+    speed_mps: Finite = 0.0
+    yaw_rate_degps: Finite = 0.0
+
+
 class FaultEvent(_Section):
     """A planned failure; the emulated robot knows the targets and kinds."""
 
@@ -109,7 +231,14 @@ class Scenario(_Section):
     duration_s: Positive
     initial_stroke_mm: tuple[NonNegative, NonNegative, NonNegative, NonNegative] | None = None
     sensor_noise: bool = True
+    model: Literal["vehicle", "linear"] = "linear"
+    friction: Positive | None = None
+    soil: str | None = None
+    start: Start = Start()
+    payload: PayloadConfig | None = None
+    terrain: TerrainConfig = TerrainConfig()
     plate: tuple[PlateSegment, ...] = ()
+    drive: tuple[DriveEvent, ...] = ()
     fault: tuple[FaultEvent, ...] = ()
 
     @model_validator(mode="after")
@@ -122,6 +251,26 @@ class Scenario(_Section):
                         f"the {second.name} starts before the {first.name} ends ({first.end_s:g} s); "
                         "move it, or shorten the first"
                     )
+        return self
+
+    @model_validator(mode="after")
+    def _linear_model_stands(self) -> Self:
+        for name in ("friction", "soil", "start", "payload", "terrain"):
+            if self.model == "linear" and getattr(self, name) != type(self).model_fields[name].default:
+                raise ValueError(
+                    f'{name} means nothing to model = "linear", which stands on a plate; '
+                    'leave it out, or use model = "vehicle"'
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _drive_in_order(self) -> Self:
+        for first, second in pairwise(self.drive):
+            if second.at_s <= first.at_s:
+                raise ValueError(
+                    f"the drive at {second.at_s:g} s does not come after the one at {first.at_s:g} s; "
+                    "put them in the order of time"
+                )
         return self
 
     def segments(self, axis: str) -> tuple[PlateSegment, ...]:

@@ -1,4 +1,4 @@
-"""The emulated robot's world: TIGER on a tilting plate, its actuators, wheels and sensors. No clock, no I/O.
+"""The emulated robot's world: TIGER on its ground, with actuators, wheels and sensors. No clock, no I/O.
 
     world = World(load_vehicle("tiger"), load_scenario("shaking-plate"), seed=1)
     world.step(0.001, duty, wheel_rpm)         # 1 ms: duties -1..1 (+ raises the body) and rpm, FL FR RL RR
@@ -7,13 +7,13 @@
     world.imu()                                # accel_mps2, gyro_radps, mag_ut in the BNO055's axes
     world.tooth_phase                          # per wheel: teeth passed since the start, a float
     world.motor_current_a(), world.wheel_speed_rpm
-    world.truth()                              # attitude, strokes, ride height: for tests and plots
+    world.truth()                              # attitude, strokes, place, wheel loads: for tests and plots
 
-The body is the linear 7-DOF model about mid-stroke at rest (body.py), driven by the tilt of the plate under
-the wheels and by the lift of the four mechanisms (the true curve of the EAM). An actuator's rate follows its
-duty with a first-order lag; it is self-locking, stops at the ends of its stroke, and cannot push more than
-its force limit. The wheels are free to turn, as on stands; + is forward. Everything random is from the seed:
-two worlds given the same calls are equal. The BNO055 is mounted along the body axes.
+What moves is a `body.Body`: the 14-DOF vehicle on its terrain, or the linear 7-DOF model on stands, as the
+scenario says. It stands on a plate that tilts, and on four mechanisms that lift it (the true curve of the
+EAM). An actuator's rate follows its duty with a first-order lag; it is self-locking, stops at the ends of its
+stroke, and cannot push more than its force limit. Everything random is from the seed: two worlds given the
+same calls are equal. The BNO055 is mounted along the body axes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiger.config.vehicle import VehicleConfig
-from tiger.emulation.body import BodyOnPlate
+from tiger.emulation.body import Four, make_body
 from tiger.emulation.scenarios import PlateAxis, Scenario
 from tiger.models.eam import Eam, MechanismError
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
@@ -36,7 +36,6 @@ from tiger.models.sensors.motor_current import MotorCurrent
 from tiger.models.sensors.potentiometer import Potentiometer
 
 Array = NDArray[np.float64]
-Four = tuple[float, float, float, float]
 
 MAGNETIC_FIELD_UT = (20.0, 0.0, -43.0)
 """Earth's field at middle latitudes, the robot facing north: north, west, up."""
@@ -44,7 +43,8 @@ MAGNETIC_FIELD_UT = (20.0, 0.0, -43.0)
 CALIBRATED_ACCEL_OFFSET_MPS2 = 0.02
 CALIBRATED_MAG_OFFSET_UT = 2.0
 SWITCH_MARGIN_MM = 0.2
-WHEEL_LAG_S = 0.1
+STANDING_RADPS = 1e-4
+"""A wheel that turns more slowly stands: a tooth takes a quarter of an hour to pass."""
 
 _MAGNETIC_PERIOD_S = 0.01
 _LONG_S = 1000.0  # after which every low-pass has settled
@@ -61,13 +61,19 @@ class Truth:
     pitch_rate_degps: float
     heave_m: float
     ride_height_m: float
-    """Height of the COM above the middle of the plate."""
+    """Height of the COM above the ground between the wheels."""
     stroke_mm: Four
     stroke_rate_mmps: Four
     actuator_force_n: Four
     wheel_speed_rpm: Four
     plate_roll_deg: float
     plate_pitch_deg: float
+    position_m: tuple[float, float, float]
+    """COM in the world: x and y in the plane, z up."""
+    yaw_deg: float
+    speed_mps: float
+    wheel_load_n: Four
+    slip_ratio: Four
 
 
 class World:
@@ -104,7 +110,6 @@ class World:
         )
         noisy = scenario.sensor_noise
         self._imu = Imu(_imu_spec(noisy), random_imu)
-        self._felt = (np.zeros(3), np.zeros(3))
         self._field = np.zeros(3)
         self._magnetic_s = 0.0
         self.potentiometer = Potentiometer(actuator.stroke_max_mm)
@@ -113,12 +118,8 @@ class World:
         self._current = MotorCurrent()
         self._random_current = random_current if noisy else None
 
-        self._wheel_radps = [0.0] * 4
-        self._wheel_accel_radps2 = [0.0] * 4
-        self._wheel_angle_rad = [0.0] * 4
-
         self._dt_s = nan  # no step yet
-        self._body = BodyOnPlate(parameters, self._inputs())
+        self._body = make_body(vehicle, scenario, self._plate_rad(), self._lift_m())
         self._feel(_LONG_S)
 
     # ---- time
@@ -133,9 +134,8 @@ class World:
         if dt_s != self._dt_s:
             self._prepare(dt_s)
         self._move_actuators(actuator_duty)
-        self._turn_wheels(wheel_speed_cmd_rpm)
         self.time_us += self._dt_us
-        self._body.advance(self._inputs())
+        self._body.advance(self._plate_rad(), self._lift_m(), wheel_speed_cmd_rpm)
         self._feel(dt_s)
 
     # ---- what the boards and controllers see
@@ -168,25 +168,26 @@ class World:
     @property
     def tooth_phase(self) -> Four:
         """Teeth that have passed each sensor since the start: negative backwards, four edges to the tooth."""
-        phases = (gear.phase(a) for gear, a in zip(self._gears, self._wheel_angle_rad, strict=True))
+        phases = (gear.phase(a) for gear, a in zip(self._gears, self._body.wheel_angle_rad, strict=True))
         a, b, c, d = phases
         return a, b, c, d
 
     @property
     def wheels_stand(self) -> bool:
-        """No wheel turns."""
-        return not any(self._wheel_radps)
+        """No wheel turns to speak of."""
+        a, b, c, d = self._body.wheel_radps
+        most = STANDING_RADPS
+        return -most < a < most and -most < b < most and -most < c < most and -most < d < most
 
     @property
     def wheel_speed_rpm(self) -> Four:
         """True wheel speeds."""
-        a, b, c, d = (speed * (30.0 / pi) for speed in self._wheel_radps)
+        a, b, c, d = (speed * (30.0 / pi) for speed in self._body.wheel_radps)
         return a, b, c, d
 
     def motor_current_a(self) -> Array:
         """Motor currents as the drives measure them, (4,); every call is a new sample."""
-        torque = self.vehicle.tire.spin_inertia_kgm2 * np.array(self._wheel_accel_radps2)
-        current = self._current.true_a(torque, self._wheel_radps)
+        current = self._current.true_a(self._body.wheel_torque_nm, self._body.wheel_radps)
         return self._current.measured_a(current, self._random_current)
 
     # ---- what no one sees
@@ -194,12 +195,12 @@ class World:
     @property
     def roll_deg(self) -> float:
         """True roll."""
-        return degrees(self._body.roll_rad)
+        return degrees(self._body.attitude_rad[0])
 
     @property
     def pitch_deg(self) -> float:
         """True pitch."""
-        return degrees(self._body.pitch_rad)
+        return degrees(self._body.attitude_rad[1])
 
     @property
     def stroke_mm(self) -> Four:
@@ -209,24 +210,30 @@ class World:
 
     def truth(self) -> Truth:
         """Everything true at this moment."""
-        body = self._body
-        plate_roll, plate_pitch = self._plate
+        motion = self._body.motion()
+        roll, pitch, yaw = self._body.attitude_rad
+        plate_roll, plate_pitch = self._plate_rad()
         fl, fr, rl, rr = self._rate_mmps
         forces = [self._actuator_force_n(corner) for corner in range(4)]
         return Truth(
             time_s=self.time_s,
-            roll_deg=self.roll_deg,
-            pitch_deg=self.pitch_deg,
-            roll_rate_degps=degrees(body.roll_rate_radps),
-            pitch_rate_degps=degrees(body.pitch_rate_radps),
-            heave_m=body.heave_m,
-            ride_height_m=self.vehicle.body.com_height_m + body.heave_m,
+            roll_deg=degrees(roll),
+            pitch_deg=degrees(pitch),
+            roll_rate_degps=degrees(motion.roll_rate_radps),
+            pitch_rate_degps=degrees(motion.pitch_rate_radps),
+            heave_m=motion.heave_m,
+            ride_height_m=self.vehicle.body.com_height_m + motion.heave_m,
             stroke_mm=self.stroke_mm,
             stroke_rate_mmps=(fl, fr, rl, rr),
             actuator_force_n=(forces[0], forces[1], forces[2], forces[3]),
             wheel_speed_rpm=self.wheel_speed_rpm,
-            plate_roll_deg=degrees(plate_roll.angle_rad(self.time_s)),
-            plate_pitch_deg=degrees(plate_pitch.angle_rad(self.time_s)),
+            plate_roll_deg=degrees(plate_roll),
+            plate_pitch_deg=degrees(plate_pitch),
+            position_m=motion.position_m,
+            yaw_deg=degrees(yaw),
+            speed_mps=motion.speed_mps,
+            wheel_load_n=motion.wheel_load_n,
+            slip_ratio=motion.slip_ratio,
         )
 
     # ---- physics of one step
@@ -256,60 +263,24 @@ class World:
         """Push of an actuator: the spring's force seen through the mechanism."""
         return (self._preload_n[corner] + self._body.spring_n[corner]) * self._lift[corner][1]
 
-    def _turn_wheels(self, wheel_speed_cmd_rpm: Sequence[float]) -> None:
-        speeds, most = self._wheel_radps, self._wheel_change_radps
-        for wheel, rpm in enumerate(wheel_speed_cmd_rpm):
-            speed = speeds[wheel]
-            if rpm == 0.0 and -1e-9 < speed < 1e-9:
-                speeds[wheel] = self._wheel_accel_radps2[wheel] = 0.0
-                continue
-            change = self._wheel_gain * (rpm * (pi / 30.0) - speed)
-            change = most if change > most else -most if change < -most else change
-            self._wheel_accel_radps2[wheel] = change / self._dt_s
-            self._wheel_angle_rad[wheel] += (speed + 0.5 * change) * self._dt_s
-            speeds[wheel] = speed + change
-
-    def _inputs(self) -> list[float]:
-        """Plate roll and pitch in rad, lifts from mid-stroke in m."""
+    def _plate_rad(self) -> tuple[float, float]:
+        """Roll and pitch of the plate."""
         roll, pitch = self._plate
-        time_s, mid = self.time_s, self._mid_rise_mm
-        fl, fr, rl, rr = self._lift
-        return [
-            roll.angle_rad(time_s),
-            pitch.angle_rad(time_s),
-            (fl[0] - mid) * 1e-3,
-            (fr[0] - mid) * 1e-3,
-            (rl[0] - mid) * 1e-3,
-            (rr[0] - mid) * 1e-3,
-        ]
+        return roll.angle_rad(self.time_s), pitch.angle_rad(self.time_s)
+
+    def _lift_m(self) -> list[float]:
+        """Lifts of the mechanisms from mid-stroke."""
+        mid, (fl, fr, rl, rr) = self._mid_rise_mm, self._lift
+        return [(fl[0] - mid) * 1e-3, (fr[0] - mid) * 1e-3, (rl[0] - mid) * 1e-3, (rr[0] - mid) * 1e-3]
 
     def _feel(self, dt_s: float) -> None:
-        """Let the IMU follow the motion of the point where it sits."""
-        body = self._body
-        pitch, pitch_rate, pitch_accel = body.pitch_rad, body.pitch_rate_radps, body.pitch_accel_radps2
-        roll, roll_rate, roll_accel = body.roll_rad, body.roll_rate_radps, body.roll_accel_radps2
-        sin_roll, cos_roll = sin(roll), cos(roll)
-        level = cos(pitch)
-        ux, uy, uz = -sin(pitch), sin_roll * level, cos_roll * level
-        # Angular rate and acceleration in body axes for yaw-pitch-roll angles without yaw.
-        p, q, r = roll_rate, pitch_rate * cos_roll, -pitch_rate * sin_roll
-        pp = roll_accel
-        qq = pitch_accel * cos_roll + roll_rate * r
-        rr = -pitch_accel * sin_roll - roll_rate * q
-        x, y, z = self.vehicle.imu_offset_m
-        pushed = body.heave_accel_mps2 + GRAVITY_MPS2
-        along = p * x + q * y + r * z
-        square = p * p + q * q + r * r
-        accel, rate = self._felt
-        accel[0] = pushed * ux + qq * z - rr * y + along * p - square * x
-        accel[1] = pushed * uy + rr * x - pp * z + along * q - square * y
-        accel[2] = pushed * uz + pp * y - qq * x + along * r - square * z
-        rate[0], rate[1], rate[2] = p, q, r
-        self._imu.accelerometer.advance(accel, dt_s)
-        self._imu.gyroscope.advance(rate, dt_s)
+        """Let the IMU follow."""
+        imu, body = self._imu, self._body
+        imu.accelerometer.advance(body.accel_mps2, dt_s)
+        imu.gyroscope.advance(body.rate_radps, dt_s)
         self._magnetic_s += dt_s
         if self._magnetic_s >= _MAGNETIC_PERIOD_S:
-            self._imu.magnetometer.advance(self._field_in_body(), self._magnetic_s)
+            imu.magnetometer.advance(self._field_in_body(), self._magnetic_s)
             self._magnetic_s = 0.0
 
     # ---- preparation
@@ -321,19 +292,16 @@ class World:
             raise ValueError(f"a step takes a positive whole number of microseconds, not {dt_s} s")
         self._dt_s = dt_s
         self._actuator_gain = _lag_gain(dt_s, self._actuator.lag_s)
-        self._wheel_gain = _lag_gain(dt_s, WHEEL_LAG_S)
-        drive = self.vehicle.drive
-        most_torque_nm = np.inf if drive is None else drive.max_torque_nm
-        self._wheel_change_radps = most_torque_nm / self.vehicle.tire.spin_inertia_kgm2 * dt_s
         self._body.prepare(dt_s)
 
     def _field_in_body(self) -> Array:
-        """Earth's field in body axes for the present roll and pitch."""
+        """Earth's field in body axes for the present attitude."""
         north, west, up = MAGNETIC_FIELD_UT
-        pitch, roll = self._body.pitch_rad, self._body.roll_rad
-        x = cos(pitch) * north - sin(pitch) * up
-        z = sin(pitch) * north + cos(pitch) * up
-        self._field[:] = x, cos(roll) * west + sin(roll) * z, -sin(roll) * west + cos(roll) * z
+        roll, pitch, yaw = self._body.attitude_rad
+        ahead, left = cos(yaw) * north + sin(yaw) * west, cos(yaw) * west - sin(yaw) * north
+        x = cos(pitch) * ahead - sin(pitch) * up
+        z = sin(pitch) * ahead + cos(pitch) * up
+        self._field[:] = x, cos(roll) * left + sin(roll) * z, -sin(roll) * left + cos(roll) * z
         return self._field
 
 

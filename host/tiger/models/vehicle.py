@@ -212,20 +212,31 @@ class Vehicle:
         self._plant = (self._vehicle, self._tire, self._soil, *self._ground)
         self._out = np.empty(kernel.STATES)
         self._contact = np.zeros((4, kernel.CONTACT_FIGURES))
-        self._imu = np.array(config.imu_offset_m)
+        self._imu = np.array(config.imu_offset_m) - _payload(config)[1]
         self._lift = _lift_curve(config)
+        self.com_height_m = config.body.com_height_m + float(_payload(config)[1][2])
+
+    @property
+    def plant(self) -> tuple[Record, Record, Record, Record, Record, Array]:
+        """What the compiled equations take before the state, for those who compile a loop of their own."""
+        return self._plant
+
+    @property
+    def imu_place_m(self) -> Array:
+        """Where the IMU sits relative to the COM of body and payload, (3,), body axes."""
+        return self._imu.copy()
 
     # ---- states ------------
 
     def at_rest(self, x_m: float = 0.0, y_m: float = 0.0, yaw_rad: float = 0.0) -> Array:
-        """Return a state (33,) of rest: exact on level ground, else call `settle` on it."""
+        """Return a state (33,) of rest: exact on level ground without payload, else call `settle` on it."""
         height, slope_x, slope_y = (float(value) for value in self.terrain.at(x_m, y_m))
         up = np.array([-slope_x, -slope_y, 1.0]) / np.sqrt(1.0 + slope_x**2 + slope_y**2)
         forward = np.array([np.cos(yaw_rad), np.sin(yaw_rad), 0.0])
         forward -= up * (forward @ up)
         forward /= np.linalg.norm(forward)
         state = np.zeros(kernel.STATES)
-        state[kernel.POSITION] = np.array([x_m, y_m, height]) + up * self.config.body.com_height_m
+        state[kernel.POSITION] = np.array([x_m, y_m, height]) + up * self.com_height_m
         state[kernel.ATTITUDE] = _quaternion(np.stack([forward, np.cross(up, forward), up], axis=1))
         return state
 
@@ -380,6 +391,7 @@ def euler_from_quaternion(quaternion: ArrayLike) -> Array:
 
 def _vehicle_record(config: VehicleConfig, speed_droop: float) -> Record:
     body, tire = config.body, config.tire
+    payload_kg, com_shift, inertia = _payload(config)
     a, b, w = body.com_to_front_axle_m, body.com_to_rear_axle_m, body.half_track_m
     axles = (config.front, config.front, config.rear, config.rear)
     # Equilibrium at the configured height: struts carry the body, tyres body and wheels (erratum of eq. 5.7).
@@ -396,19 +408,19 @@ def _vehicle_record(config: VehicleConfig, speed_droop: float) -> Record:
         kernel.VEHICLE,
         {
             "gravity": GRAVITY_MPS2,
-            "mass": body.mass_kg,
-            "roll_inertia": body.roll_inertia_kgm2,
-            "pitch_inertia": body.pitch_inertia_kgm2,
-            "yaw_inertia": body.yaw_inertia_kgm2,
+            "mass": body.mass_kg + payload_kg,
+            "roll_inertia": body.roll_inertia_kgm2 + inertia[0],
+            "pitch_inertia": body.pitch_inertia_kgm2 + inertia[1],
+            "yaw_inertia": body.yaw_inertia_kgm2 + inertia[2],
             "tire_stiffness": tire.vertical_stiffness_npm,
             "tire_damping": tire.vertical_damping_nspm,
             "rolling_radius": tire.rolling_radius_m,
             "spin_inertia": tire.spin_inertia_kgm2,
             "torque_max": torque_max,
             "speed_gain": speed_gain,
-            "wheel_height": tire.rolling_radius_m - body.com_height_m,
-            "x": [a, a, -b, -b],
-            "y": [w, -w, w, -w],
+            "wheel_height": tire.rolling_radius_m - body.com_height_m - com_shift[2],
+            "x": np.array([a, a, -b, -b]) - com_shift[0],
+            "y": np.array([w, -w, w, -w]) - com_shift[1],
             "wheel_mass": wheel_mass,
             "spring": [axle.spring_npm for axle in axles],
             "damper": [axle.damper_nspm for axle in axles],
@@ -416,6 +428,19 @@ def _vehicle_record(config: VehicleConfig, speed_droop: float) -> Record:
             "free_radius": tire.rolling_radius_m + squeeze,
         },
     )
+
+
+def _payload(config: VehicleConfig) -> tuple[float, Array, Array]:
+    """Mass in kg of the payload, the COM's shift (3,) and the inertia (3,) that it adds about the new COM.
+
+    The springs keep the preload of the empty body, so that it sags; products of inertia are left out.
+    """
+    if config.payload is None:
+        return 0.0, np.zeros(3), np.zeros(3)
+    mass, empty = config.payload.mass_kg, config.body.mass_kg
+    place = np.array(config.payload.place_m)
+    squares = place**2 * mass * empty / (mass + empty)
+    return mass, place * mass / (mass + empty), squares.sum() - squares
 
 
 def _lift_curve(config: VehicleConfig) -> tuple[LiftCurve, float] | None:

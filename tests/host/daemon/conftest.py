@@ -74,7 +74,12 @@ class Bench:
     ) -> Run:
         """Run from rest, armed from the start."""
         scenario = Scenario(
-            title="bench", duration_s=duration_s, plate=plate, initial_stroke_mm=stroke_mm, sensor_noise=False
+            title="bench",
+            duration_s=duration_s,
+            model="linear",
+            plate=plate,
+            initial_stroke_mm=stroke_mm,
+            sensor_noise=False,
         )
         world = World(self.robot.vehicle, scenario, seed=self.seed)
         random = np.random.default_rng(self.seed)

@@ -34,6 +34,7 @@ def scenario(
             "duration_s": 100.0,
             "plate": plate,
             "sensor_noise": noise,
+            "model": "linear",
             "initial_stroke_mm": stroke_mm,
         }
     )
