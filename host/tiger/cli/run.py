@@ -17,8 +17,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from tiger.config.robot import RobotConfig
-    from tiger.daemon.clock import Lateness
+    from tiger.daemon.clock import Clock, Lateness
     from tiger.daemon.daemon import Daemon
+    from tiger.devices.ports import PortProvider
+    from tiger.logs.session import LogSession
     from tiger.record import Record
 
 SERIES_HZ = 100.0
@@ -34,6 +36,7 @@ class Wishes:
     speed_mps: float
     yaw_rate_radps: float
     duration_s: float | None
+    log_folder: Path | None = None
 
 
 @dataclass
@@ -177,14 +180,18 @@ def run(
         float, typer.Option("--yaw-rate", help="Yaw rate in degrees/s once armed, + turns left.")
     ] = 0.0,
     seed: Annotated[int, typer.Option("--seed", help="Of everything random in the emulation.")] = 0,
+    log: Annotated[
+        Path | None, typer.Option("--log", help="Keep an MCAP log of everything in this folder.")
+    ] = None,
 ) -> None:
     """Run the robot: find its devices, arm, level the body, drive the wheels."""
     from tiger.config.errors import ConfigError
     from tiger.config.robot import load_robot
+    from tiger.logs.errors import LogError
 
     if virtual_time and emulate is None:
         _fail("--virtual-time needs --emulate SCENARIO: a real robot lives in real time")
-    wishes = Wishes(arm or emulate is not None, speed, math.radians(yaw_rate), duration)
+    wishes = Wishes(arm or emulate is not None, speed, math.radians(yaw_rate), duration, log)
     outcome: tuple[Journal, Lateness | None]
     try:
         robot = load_robot(config)
@@ -194,7 +201,7 @@ def run(
             outcome = _run_virtual(robot, emulate, seed, wishes)
         else:
             outcome = _run_emulated(robot, emulate, seed, wishes)
-    except ConfigError as error:
+    except (ConfigError, LogError) as error:
         _fail(str(error))
     journal, lateness = outcome
     if json_file is not None:
@@ -254,6 +261,41 @@ class _Driver:
         return "q" not in keys
 
 
+class _Log:
+    """The log of a run, or nothing when none was asked for."""
+
+    def __init__(self, folder: Path | None, robot: RobotConfig, clock: Clock) -> None:
+        self._session: LogSession | None = None
+        if folder is not None:
+            from tiger.logs.session import LogSession
+
+            self._session = LogSession(folder, robot, clock, about={"command": " ".join(sys.argv)})
+
+    def __enter__(self) -> _Log:
+        if self._session is not None:
+            self._session.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        if self._session is None:
+            return
+        self._session.__exit__(*error)
+        typer.echo(f"log: {self._session.path}")
+        if self._session.dropped_packets:
+            typer.echo(f"log: {self._session.dropped_packets} packets were dropped", err=True)
+        if self._session.problem:
+            typer.echo(f"log: {self._session.problem}", err=True)
+
+    def tap(self, ports: PortProvider) -> PortProvider:
+        """The same ports, with all bytes logged."""
+        return ports if self._session is None else self._session.tap(ports)
+
+    def record(self, record: Record, daemon: Daemon) -> None:
+        """Hand a tick over; never waits."""
+        if self._session is not None:
+            self._session.record(record, daemon.control_state)
+
+
 class _Printer:
     """For output that is no terminal: a line whenever something changes."""
 
@@ -273,18 +315,24 @@ def _run_virtual(robot: RobotConfig, scenario_name: str, seed: int, wishes: Wish
     from contextlib import nullcontext
 
     from tiger.cli.live import FRAMES_PER_S, Screen, is_terminal
+    from tiger.daemon.daemon import Daemon
     from tiger.emulation.scenarios import load_scenario
     from tiger.rig.virtual import Rig
 
     scenario = load_scenario(scenario_name)
     rig = Rig(robot, scenario, seed)
+    log = _Log(wishes.log_folder, rig.config, rig.clock)
+    if wishes.log_folder is not None:
+        rig.daemon = Daemon(rig.config, log.tap(rig.ports), rig.clock, nonce=seed + 1)
     journal, driver, printer = Journal(), _Driver(rig.daemon, wishes), _Printer()
     every = max(round(robot.loop.rate_hz / SERIES_HZ), 1)
     duration_s = wishes.duration_s if wishes.duration_s is not None else scenario.duration_s
     drawn_s = -math.inf
-    with Screen(f"TIGER, emulated: {scenario.title}") if is_terminal() else nullcontext() as screen:
+    display = Screen(f"TIGER, emulated: {scenario.title}") if is_terminal() else nullcontext()
+    with log, display as screen:
         for tick, record in enumerate(rig.run(duration_s)):
             driver.after(record)
+            log.record(record, rig.daemon)
             keep = tick % every == 0
             truth = rig.robot.truth()
             journal.add(record, rig.time_s, (truth.roll_deg, truth.pitch_deg), keep)
@@ -350,16 +398,18 @@ def _run_real_time(
 
     clock = MonotonicClock()
     start_s = clock.now_s()
-    daemon = Daemon(robot, SerialPorts(), clock, nonce=int(start_s * 1e3) & 0xFFFF)
+    log = _Log(wishes.log_folder, robot, clock)
+    daemon = Daemon(robot, log.tap(SerialPorts()), clock, nonce=int(start_s * 1e3) & 0xFFFF)
     driver, journal, printer = _Driver(daemon, wishes), Journal(), _Printer()
     every = max(round(robot.loop.rate_hz / SERIES_HZ), 1)
     draw_every = max(round(robot.loop.rate_hz / 50.0), 1)
-    with ScreenProcess(title) if is_terminal() else nullcontext() as screen:
+    with log, ScreenProcess(title) if is_terminal() else nullcontext() as screen:
         for refused in loop.prepare(robot.loop):
             typer.echo(f"note: {refused}", err=True)
 
         def on_record(record: Record) -> bool:
             driver.after(record)
+            log.record(record, daemon)
             if truth is None:
                 journal.add(record, clock.now_s() - start_s, None, record.tick % every == 0)
             else:

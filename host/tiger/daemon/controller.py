@@ -71,6 +71,11 @@ def initial_state(design: ControllerDesign) -> ControllerState:
     return ControllerState(observer.initial_state(design.observer))
 
 
+def rearmed(design: ControllerDesign, state: ControllerState) -> ControllerState:
+    """Return the state that an armed phase begins with: what is known of the body, and no command yet."""
+    return replace(initial_state(design), observer=state.observer, imu_t_s=state.imu_t_s)
+
+
 def step(
     design: ControllerDesign, state: ControllerState, inputs: Inputs, dt: float
 ) -> tuple[ControllerState, Outputs]:

@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from tiger.daemon import limits, supervisor, wheel_check
-from tiger.daemon.controller import design_controller, initial_state
+from tiger.daemon.controller import ControllerState, design_controller, initial_state, rearmed
 from tiger.daemon.controller import step as control
 from tiger.daemon.discovery import Boards, Role, role_name
 from tiger.daemon.drives import Drive
@@ -134,6 +134,11 @@ class Daemon:
         self._waiting_for: Problem | None = None  # what keeps a wish to arm from coming true
         self._start_s = now_s
         self._links: tuple[LinkStatus, ...] = ()
+
+    @property
+    def control_state(self) -> ControllerState:
+        """State of the controller after the latest tick, for a log from which it can be replayed."""
+        return self._control
 
     # ----------------------------------------------------------------------------------- what a user asks for
 
@@ -353,7 +358,7 @@ class Daemon:
         if state is DaemonState.ARMED:
             self._arm_until_s = -math.inf
             self._wheel_check = WheelCheck()
-            self._control = replace(initial_state(self._design), observer=self._control.observer)
+            self._control = rearmed(self._design, self._control)
         elif was_armed:
             self._stop_everything(state)
 

@@ -35,7 +35,7 @@ LINKS = {
 """Cable of the emulated robot -> name of its link in the folder."""
 
 READ_BYTES = 4096
-MOST_BEHIND_S = 0.25  # a stall longer than this is not made up for: time jumps, as on a suspended machine
+MOST_BEHIND_S = 0.05  # a longer stall is not made up for: in one burst of it the boards would hear no one
 
 
 class PtyLine:

@@ -128,7 +128,7 @@ class Replay:
         if self._control is None:
             return None
         if arming and not tick.inputs.armed:
-            self._control = replace(self._initial, observer=self._control.observer)
+            self._control = controller.rearmed(self._design, self._control)
             self._check = WheelCheck()
         period_s = self._robot.loop.period_s
         self._control, outputs = controller.step(self._design, self._control, tick.inputs, period_s)
