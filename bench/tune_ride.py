@@ -130,8 +130,8 @@ class Robust(Iso):
 
 
 GOALS: dict[str, Callable[[], Bumpy | Iso]] = {
-    "bumpy-preview-x0.03": lambda: Bumpy(0.03, 0.102, seeds=20),
-    "bumpy-preview-x0.1": lambda: Bumpy(0.1, 0.102, seeds=6, judge_mean=True),
+    "bumpy-preview-x0.03": lambda: Bumpy(0.03, 0.102, seeds=60),
+    "bumpy-preview-x0.1": lambda: Bumpy(0.1, 0.102, seeds=40, judge_mean=True),
     "bumpy-plain-x1": lambda: Bumpy(1.0, None, seeds=6, judge_mean=True),
     "iso-preview": lambda: Iso(np.array([0.375, 0.33, 0.365, 0.97, 0.97, 1.31, 1.31]), 0.268),
     "iso-plain": lambda: Iso(np.array([0.375, 0.33, 0.365, 0.97, 0.97, 1.31, 1.31]), None),

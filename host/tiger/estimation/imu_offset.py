@@ -151,4 +151,6 @@ def _climb(
     if np.linalg.eigvalsh(hessian).min() <= 0:
         return None
     spread = np.sqrt(np.diag(np.linalg.inv(hessian)))
+    if (spread > 0.2 * reach).any():
+        return None
     return OffsetEstimate(float(x[0]), float(x[1]), float(spread[0]), float(spread[1]), preview_s, -value)
