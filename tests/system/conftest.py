@@ -81,7 +81,7 @@ class Run:
         assert record.state is DaemonState.ARMED, [str(p) for p in record.problems]
 
 
-STANDING = Scenario(title="stands on level ground", duration_s=60.0)
+STANDING = Scenario(title="stands on level ground, wheels on stands", duration_s=60.0, model="linear")
 
 
 @pytest.fixture

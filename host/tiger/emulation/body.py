@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
+from tiger.config.errors import ConfigError
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -94,6 +96,11 @@ def make_body(
         from tiger.emulation.linear_body import LinearBody
 
         return LinearBody(vehicle, plate_rad, lift_m)
-    from tiger.emulation.vehicle_body import VehicleBody  # compiles: costs half a second
+    try:
+        from tiger.emulation.vehicle_body import VehicleBody  # compiled: half a second to load
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f'model = "vehicle" needs {error.name}: install tiger-robot[sim], or set model = "linear"'
+        ) from error
 
     return VehicleBody(vehicle, scenario, plate_rad, lift_m)

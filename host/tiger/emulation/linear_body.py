@@ -1,9 +1,9 @@
 """The linear body: 7 degrees of freedom on a tilting plate, its wheels free to turn, as on stands.
 
 `BodyOnPlate` is the model, advanced exactly, a step at a time. Six inputs: roll and pitch of the plate under
-the four wheels (rad), and the lifts of the four mechanisms from mid-stroke (m, FL FR RL RR). They are straight
-lines over a step, so the extended system of state, inputs and their change needs no input of its own and its
-matrix exponential is exact: a step is one matrix product. `LinearBody` adds wheels and what an IMU feels.
+the four wheels (rad), and the lifts of the four mechanisms from mid-stroke (m, FL FR RL RR). They are
+straight lines over a step, so the extended system of state, inputs and their change needs no input of its own
+and its matrix exponential is exact: a step is one matrix product. `LinearBody` adds wheels and an IMU.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from tiger.config.errors import ConfigError
+from tiger.emulation.body import Four
 from tiger.emulation.cable import Cable, LineNoise, NoisyLine
 from tiger.emulation.roboteq import Roboteq
 from tiger.emulation.world import Truth, World
@@ -44,6 +45,9 @@ RESONATOR_PPM = {
     "mega_speed_right": -500.0,
 }
 """How far each board's clock is off: ceramic resonators are, by up to 5000."""
+
+GEAR_PLAY_TEETH = 0.01
+"""Half the hysteresis of a gear-tooth sensor: without it a standing wheel's tremor is a storm of edges."""
 
 CORNER_NAMES = ("fl", "fr", "rl", "rr")
 _OPEN_POT_COUNTS = float(ADC_COUNTS - 1)
@@ -106,6 +110,7 @@ class EmulatedRobot:
         self._broken_pots: dict[int, float] = {}  # corner -> counts its input shows
         self._stuck_pots: set[int] = set()
         self._counts = [0.0] * 4
+        self._shown_phase = [0.0] * 4  # teeth, as the wheel sensors see them
         self._steps = 0
         self._failures = self._table_of_failures()
         self._plan = self._planned_failures(scenario.fault)
@@ -159,10 +164,17 @@ class EmulatedRobot:
                 reading.accel_mps2.tolist(), reading.gyro_radps.tolist(), reading.mag_ut.tolist()
             )
         if self._steps == 0 or not world.wheels_stand:
-            phase = world.tooth_phase
-            for side, (front, rear) in SIDES.items():
-                self.speed[side].set_wheel(0, phase[front])
-                self.speed[side].set_wheel(1, phase[rear])
+            self._turn_gears(world.tooth_phase)
+
+    def _turn_gears(self, phase: Four) -> None:
+        """Show the sensors what has passed beyond their hysteresis."""
+        shown, play = self._shown_phase, GEAR_PLAY_TEETH
+        for side, wheels in SIDES.items():
+            for input_, wheel in enumerate(wheels):
+                behind = phase[wheel] - shown[wheel]
+                if behind > play or behind < -play:
+                    shown[wheel] = phase[wheel] - (play if behind > 0.0 else -play)
+                    self.speed[side].set_wheel(input_, shown[wheel])
 
     def _run_drives(self) -> None:
         if self._steps % FEEDBACK_EVERY_STEPS == 0:

@@ -231,7 +231,7 @@ class Scenario(_Section):
     duration_s: Positive
     initial_stroke_mm: tuple[NonNegative, NonNegative, NonNegative, NonNegative] | None = None
     sensor_noise: bool = True
-    model: Literal["vehicle", "linear"] = "linear"
+    model: Literal["vehicle", "linear"] = "vehicle"
     friction: Positive | None = None
     soil: str | None = None
     start: Start = Start()

@@ -13,6 +13,7 @@ from tiger.daemon.clock import VirtualClock
 from tiger.daemon.daemon import Daemon
 from tiger.emulation.cable import LineNoise
 from tiger.emulation.robot import STEP_US, EmulatedRobot
+from tiger.rig.planned_drive import PlannedDrive
 from tiger.rig.ports import EMULATED_PORTS, CablePorts
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ class Rig:
         self.robot = EmulatedRobot(config.vehicle, scenario, seed, noise)
         self.ports = CablePorts(self.robot.cables)
         self.daemon = Daemon(self.config, self.ports, self.clock, nonce=seed + 1)
+        self.drive = PlannedDrive(scenario.drive, self.daemon)
         self.hung = False  # a daemon that hangs: time passes, nothing is read or written
         self._steps_per_tick = round(config.loop.period_s * 1e6 / STEP_US)
 
@@ -58,7 +60,10 @@ class Rig:
         for _ in range(self._steps_per_tick):
             self.robot.run()
         self.clock.set(self.robot.time_s)
-        return None if self.hung else self.daemon.tick(self.robot.time_s)
+        if self.hung:
+            return None
+        self.drive.follow(self.robot.time_s)
+        return self.daemon.tick(self.robot.time_s)
 
     def run(self, duration_s: float) -> Iterator[Record]:
         """Yield the record of every tick for `duration_s` of virtual time."""

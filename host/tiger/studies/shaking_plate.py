@@ -73,6 +73,7 @@ def run(
     scenario = Scenario(
         title=f"Shaking plate, {axis}",
         duration_s=end_s,
+        model="linear",
         plate=tuple(
             PlateSegment.model_validate({"axis": axis, **segment})
             for segment in (

@@ -16,7 +16,7 @@ from tiger.record import Command, DaemonState, Problem, ProblemKind, Record
 from tiger.rig.ports import PATHS
 from tiger.rig.virtual import Rig
 
-STANDING = Scenario(title="standing", duration_s=60.0)
+STANDING = Scenario(title="standing, wheels on stands", duration_s=60.0, model="linear")
 ARMED_BY_S = 4.5
 
 
