@@ -1386,7 +1386,7 @@ class WheelSpeed:
 
 
 SCHEMA_HASH: dict[BoardKind, int] = {
-    BoardKind.MEGA_SUSPENSION: 0xE3C58211,
+    BoardKind.MEGA_SUSPENSION: 0x0B80EA13,
     BoardKind.NANO_IMU: 0xC6F2B522,
     BoardKind.MEGA_SPEED: 0x7AB70118,
 }
@@ -1551,8 +1551,38 @@ PARAMS: dict[BoardKind, tuple[Param, ...]] = {
             doc="stroke at pot_high_counts",
         ),
         Param(
-            name="full_speed_mmps",
+            name="pot_quarter_counts",
             index=11,
+            count=4,
+            scale=1.0,
+            min=-3000.0,
+            max=3000.0,
+            default=(0.0, 0.0, 0.0, 0.0,),
+            doc="reading above the straight line at a quarter of the full stroke",
+        ),
+        Param(
+            name="pot_half_counts",
+            index=15,
+            count=4,
+            scale=1.0,
+            min=-3000.0,
+            max=3000.0,
+            default=(0.0, 0.0, 0.0, 0.0,),
+            doc="the same at half of it",
+        ),
+        Param(
+            name="pot_three_quarters_counts",
+            index=19,
+            count=4,
+            scale=1.0,
+            min=-3000.0,
+            max=3000.0,
+            default=(0.0, 0.0, 0.0, 0.0,),
+            doc="the same at three quarters of it",
+        ),
+        Param(
+            name="full_speed_mmps",
+            index=23,
             count=1,
             scale=0.001,
             min=1.0,

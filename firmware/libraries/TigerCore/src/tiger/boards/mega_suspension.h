@@ -283,6 +283,21 @@ class MegaSuspension : public BoardHooks {
 
   int32_t parameter(uint8_t index) const { return link_.parameters().get(index); }
 
+  // What a potentiometer reads above the straight line at this quarter of the stroke.
+  int32_t bow(uint8_t quarter, uint8_t corner) {
+    static_assert(PotCurve::kSegments == 4, "the parameters are those of the quarters");
+    switch (quarter) {
+      case 1:
+        return parameter(static_cast<uint8_t>(wire::kParamPotQuarterCounts + corner));
+      case 2:
+        return parameter(static_cast<uint8_t>(wire::kParamPotHalfCounts + corner));
+      case 3:
+        return parameter(static_cast<uint8_t>(wire::kParamPotThreeQuartersCounts + corner));
+      default:
+        return 0;  // the ends
+    }
+  }
+
   void load_parameters() {
     full_speed_ = static_cast<int16_t>(parameter(wire::kParamFullSpeedMmps));
     Actuator::Limits limits;
@@ -296,7 +311,9 @@ class MegaSuspension : public BoardHooks {
       const int32_t high = parameter(static_cast<uint8_t>(wire::kParamPotHighCounts + i));
       uint16_t points[PotCurve::kPoints];
       for (uint8_t k = 0; k < PotCurve::kPoints; ++k) {
-        points[k] = static_cast<uint16_t>(low + (high - low) * k / PotCurve::kSegments);
+        const int32_t reading = low + (high - low) * k / PotCurve::kSegments + bow(k, i);
+        points[k] =
+            static_cast<uint16_t>(reading < 0 ? 0 : reading);  // too large a one is refused by the curve
       }
       const uint16_t full = static_cast<uint16_t>(parameter(wire::kParamStrokeFullMm));
       curves_valid_ = actuators_[i].configure(points, full, limits) && curves_valid_;
