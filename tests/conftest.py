@@ -52,9 +52,9 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     lines = [
         "# Proof",
         "",
-        "Written by `make proof`: the tests that are too long for `make test`, with the figures they measured.",
+        "Written by `make proof`: what is too long for `make test`, with the figures it measured.",
         "",
-        f"Measured {datetime.date.today():%Y-%m-%d} on {platform.machine()}, Python {platform.python_version()}.",
+        f"{datetime.date.today():%Y-%m-%d}, {platform.machine()}, Python {platform.python_version()}.",
         "",
         "| what | figure | bar | test |",
         "|---|---|---|---|",

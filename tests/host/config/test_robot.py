@@ -42,7 +42,21 @@ def test_the_default_is_the_real_robot_at_200_hz() -> None:
 
 def test_every_default_is_explained_or_explains_itself() -> None:
     keys = [line for line in default_robot_toml().splitlines() if "=" in line and not line.startswith("#")]
-    units = ("_deg", "_degs", "_degps", "_degps2", "_s", "_ms", "_mm", "_mps", "_mps2", "_mps3", "_mmps2", "_hz", "_a")
+    units = (
+        "_deg",
+        "_degs",
+        "_degps",
+        "_degps2",
+        "_s",
+        "_ms",
+        "_mm",
+        "_mps",
+        "_mps2",
+        "_mps3",
+        "_mmps2",
+        "_hz",
+        "_a",
+    )
     units += ("_v", "_rpm", "_celsius", "_per_s", "_factor")
     for line in keys:
         assert "#" in line or line.split("=")[0].strip().endswith(units), line
