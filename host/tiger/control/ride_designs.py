@@ -64,54 +64,56 @@ class RideTuning:
 
 BUMPY_PREVIEW_TACTICAL = RideTuning(
     RideWeights(
-        pitch_accel=0.406712,
-        roll_accel=6.58408,
-        heave_rate=0.383451,
-        pitch_rate=0.879838,
-        roll_rate=0.014358,
-        suspension_front=6.01613,
-        suspension_rear=3.69054,
-        tire_front=0.703561,
-        tire_rear=1.37632,
-        force=4.43671e-11,
+        pitch_accel=0.383729,
+        roll_accel=7.13916,
+        heave_rate=0.376513,
+        pitch_rate=0.923004,
+        roll_rate=0.0138464,
+        suspension_front=6.04792,
+        suspension_rear=3.78599,
+        tire_front=0.689813,
+        tire_rear=1.22279,
+        force=4.5215e-11,
     ),
-    RoadPrior(noise=0.105999, leak_radps=0.00354651, bandwidth_radps=2.01302, lane_correlation=0.0887016),
+    RoadPrior(noise=0.0995038, leak_radps=0.00358414, bandwidth_radps=2.04243, lane_correlation=0.0918259),
 )
 """Bumpy road, wheelbase preview, IMU of 0.03 x the nominal noise: the rows of Table 6.2."""
 
 
 BUMPY_PREVIEW = RideTuning(
     RideWeights(
-        pitch_accel=0.482854,
-        roll_accel=13.8154,
-        heave_rate=0.159475,
-        pitch_rate=1.31206,
-        roll_rate=0.0172946,
-        suspension_front=6.792,
-        suspension_rear=3.93696,
-        tire_front=0.778293,
-        tire_rear=1.3214,
-        force=6.25058e-11,
+        pitch_accel=0.491033,
+        roll_accel=14.9288,
+        heave_rate=0.14816,
+        pitch_rate=1.37497,
+        roll_rate=0.0174475,
+        suspension_front=6.75861,
+        suspension_rear=3.79941,
+        tire_front=0.776904,
+        tire_rear=1.41343,
+        force=5.99295e-11,
     ),
-    RoadPrior(noise=0.0825567, leak_radps=0.00289022, bandwidth_radps=2.2335, lane_correlation=0.0937208),
+    RoadPrior(noise=0.0755815, leak_radps=0.00284354, bandwidth_radps=2.17169, lane_correlation=0.0975661),
 )
 """Bumpy road, wheelbase preview, IMU of 0.1 x the nominal noise."""
 
 
 BUMPY_PLAIN = RideTuning(
     RideWeights(
-        pitch_accel=0.950657,
-        roll_accel=3379.57,
-        heave_rate=0.127086,
-        pitch_rate=0.444862,
-        roll_rate=0.0182366,
-        suspension_front=0.49344,
-        suspension_rear=0.204292,
-        tire_front=7.24963,
-        tire_rear=13.6675,
-        force=2.65374e-11,
+        pitch_accel=0.874512,
+        roll_accel=232.658,
+        heave_rate=0.108306,
+        pitch_rate=2.51908,
+        roll_rate=0.0130853,
+        suspension_front=5.80786,
+        suspension_rear=0.892044,
+        tire_front=0.466247,
+        tire_rear=2.72337,
+        force=7.39238e-11,
     ),
-    RoadPrior(noise=0.348714, leak_radps=0.00227267, bandwidth_radps=0.360648, lane_correlation=0.182406),
+    RoadPrior(noise=0.0297704, leak_radps=0.00195842, bandwidth_radps=1.5385, lane_correlation=0.182898),
+    accel_noise_factor=0.888814,
+    rate_noise_factor=0.351529,
 )
 """Bumpy road without preview, nominal IMU."""
 
@@ -172,20 +174,20 @@ HOLDING_PREVIEW = RideTuning(
 
 ROBUST = RideTuning(
     RideWeights(
-        pitch_accel=2.80574,
-        roll_accel=0.902228,
-        heave_rate=2.13428,
-        pitch_rate=0.061913,
-        roll_rate=17.3685,
-        suspension_front=679.222,
-        suspension_rear=16.0247,
-        tire_front=10546.6,
-        tire_rear=10740.4,
-        force=1.24258e-09,
+        pitch_accel=2.11868,
+        roll_accel=0.897112,
+        heave_rate=2.39999,
+        pitch_rate=0.0664511,
+        roll_rate=16.1585,
+        suspension_front=658.495,
+        suspension_rear=17.6847,
+        tire_front=10009.3,
+        tire_rear=10322.9,
+        force=1.08836e-09,
     ),
-    RoadPrior(noise=0.0487286, leak_radps=12.2108, bandwidth_radps=167.043, lane_correlation=0.0144245),
-    accel_noise_factor=6.71678,
-    rate_noise_factor=4.54206,
+    RoadPrior(noise=0.0533337, leak_radps=12.357, bandwidth_radps=130.687, lane_correlation=0.0142146),
+    accel_noise_factor=8.32555,
+    rate_noise_factor=4.89289,
 )
 """ISO class C without preview, nominal IMU, force one period late: for a vehicle that is not known well."""
 

@@ -9,7 +9,7 @@ with it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import minimize
@@ -26,11 +26,15 @@ if TYPE_CHECKING:
     from tiger.control.ride import ImuNoise
     from tiger.models.full_car import FullCarParameters
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 
 ROUGH_ROAD = RoadPrior(noise=0.0225, leak_radps=0.05, bandwidth_radps=100.0)
 LONG_WAVES = RoadPrior(noise=0.1, leak_radps=0.02, bandwidth_radps=2.5, lane_correlation=0.5)
+
+
+_LEAST_MOTION = 3.0
+"""Pitch and roll rate must exceed the gyros' noise by this factor to say anything about a lever arm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +105,9 @@ def estimate(
     candidate determines it (no pitch or no roll motion).
     """
     forces = np.zeros((len(imu), 4)) if force_n is None else force_n
+    moves = (imu[:, 1:].std(axis=0) > _LEAST_MOTION * noise.rate_radps).all()
     best: OffsetEstimate | None = None
-    for delay in preview_s:
+    for delay in preview_s if moves else ():
         for prior in priors:
             found = _climb(p, prior, noise, imu, forces, delay, np.array(start_m))
             if found is not None and (best is None or found.log_likelihood > best.log_likelihood):

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from tiger.estimation.identification.frf import FrfData
+    from tiger.estimation.identification.reduction import System
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
     ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 CANDIDATES = (8, 10, 12, 14, 16)
@@ -50,25 +51,40 @@ def build(data: FrfData, order: int | None = None, iterations: int = 12) -> Iden
     if order is None:
         order, fit, hankel = _choose(data, full, iterations)
     else:
-        reduced, hankel = balanced_truncation(full, order)
+        reduced, hankel = _truncate(data, full, order)
         fit = refine(data, *modal_blocks(reduced), iterations)
     return _identified(data, fit, hankel)
 
 
-def _choose(data: FrfData, full: tuple[Array, ...], iterations: int) -> tuple[int, Fit, Array]:
-    """Fit each candidate order briefly, keep the best, and finish it."""
-    system = (full[0], full[1], full[2], full[3])
+def _truncate(data: FrfData, system: System, order: int) -> tuple[System, Array]:
+    """Truncate with every input scaled to the same mean response, so that metres and newtons weigh the
+    same."""
+    a, b, c, d = system
+    on = np.isfinite(data.variance)
+    gain = np.sqrt(np.sum(np.abs(data.response) ** 2 * on, axis=(0, 1)) / on.sum(axis=(0, 1)))
+    (a, b, c, d), hankel = balanced_truncation((a, b / gain, c, d / gain), order)
+    return (a, b * gain, c, d * gain), hankel
+
+
+def _choose(data: FrfData, full: System, iterations: int) -> tuple[int, Fit, Array]:
+    """Fit the candidate orders from the largest down, each from the one before, and keep the best."""
     samples = 2 * int(np.isfinite(data.variance).sum())
+    outputs, inputs = data.response.shape[1:]
     best: tuple[float, int, Fit, Array] | None = None
-    for order in CANDIDATES:
-        reduced, hankel = balanced_truncation(system, order)
+    system = full
+    hankel: Array = np.zeros(0)
+    for order in sorted(CANDIDATES, reverse=True):
+        reduced, values = _truncate(data, system, order)
+        hankel = hankel if len(hankel) else values
         fit = refine(data, *modal_blocks(reduced), iterations)
-        outputs, inputs = data.response.shape[1:]
+        system = from_blocks(fit.blocks), fit.b, fit.c, fit.d
         parameters = order * (outputs + inputs) + outputs * inputs
         # Twice the negative log-likelihood: real and imaginary part each have half the variance.
         criterion = 2 * fit.cost + parameters * np.log(samples)
         if best is None or criterion < best[0]:
             best = criterion, order, fit, hankel
+        elif criterion > best[0] + 10 * samples**0.5:
+            break  # far worse: what is still smaller can only be worse again
     assert best is not None
     return best[1:]
 
