@@ -1,0 +1,164 @@
+"""Potentiometers against measured strokes (Figure 3.9).
+
+At each of any number of positions the four strokes are measured with a ruler or a caliper. The board keeps a
+straight line per actuator (potentiometer sums at stroke 0 and at full stroke), so a line is fitted; how far
+the measurements are from it is said, and drawn.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tiger.calibration.procedure import (
+    CalibrationError,
+    Confirm,
+    Finding,
+    Measure,
+    Move,
+    Procedure,
+    Result,
+    Stage,
+    Values,
+    Window,
+)
+from tiger.protocol.messages import PARAMS, BoardKind, Message, SuspensionRaw
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tiger.calibration.procedure import Array
+
+CORNERS = ("FL", "FR", "RL", "RR")
+POSITION_S = 2.0
+NOISE_MOST_SUMS = 64.0  # four counts of the converter, in sums of 16
+RESIDUAL_MOST_MM = 0.5
+SPREAD_LEAST = 0.5  # of the full stroke that the positions must cover
+SPAN_LEAST_SUMS = 2800  # what the board needs between stroke 0 and full stroke
+
+_LIMITS = {param.name: param for param in PARAMS[BoardKind.MEGA_SUSPENSION]}
+
+
+def channels(message: Message) -> tuple[float, ...] | None:
+    """The four potentiometer sums of a `suspension_raw`."""
+    return tuple(map(float, message.pot_counts)) if isinstance(message, SuspensionRaw) else None
+
+
+def unrest(readings: Array) -> str | None:
+    """Why potentiometer sums (N, 4) are not those of actuators at rest; None when they are."""
+    noise = readings.std(axis=0)
+    worst = int(noise.argmax())
+    if noise[worst] > NOISE_MOST_SUMS:
+        return (
+            f"potentiometer {CORNERS[worst]} varies by {noise[worst]:.0f} sums RMS, at most "
+            f"{NOISE_MOST_SUMS:g}; wait until it stands, check its wires"
+        )
+    return None
+
+
+def solve(windows: tuple[Window, ...], before: Values) -> Result:
+    """A line per corner through (sum, measured stroke) of every position, (N, 4) sums each."""
+    sums = np.array([window.mean for window in windows])  # (positions, corners)
+    strokes = np.array([window.measured for window in windows])
+    (full,) = before["stroke_full_mm"]
+    findings, notes = [], []
+    lows, highs = [], []
+    for corner, name in enumerate(CORNERS):
+        stroke, reading = strokes[:, corner], sums[:, corner]
+        _refuse_little_spread(name, stroke, full)
+        if abs(np.ptp(reading)) < 1.0:
+            raise CalibrationError(
+                f"strokes: potentiometer {name} reads {reading[0]:.0f} at every position; check its wires"
+            )
+        slope, start = np.polyfit(reading, stroke, 1)
+        low, high = round(float(-start / slope)), round(float((full - start) / slope))
+        _refuse_what_cannot_be_stored(name, low, high)
+        left = stroke - (slope * reading + start)
+        worst, rms = float(np.abs(left).max()), float(np.sqrt(np.mean(left**2)))
+        findings += [
+            Finding(f"{name} at stroke 0", low, "sums"),
+            Finding(f"{name} at {full:g} mm", high, "sums"),
+            Finding(f"{name} from the line", rms, "mm RMS"),
+            Finding(f"{name} farthest", worst, "mm", RESIDUAL_MOST_MM, worst <= RESIDUAL_MOST_MM),
+        ]
+        lows.append(float(low))
+        highs.append(float(high))
+        if worst > RESIDUAL_MOST_MM:
+            notes.append(
+                f"{name} is up to {worst:.2f} mm from a straight line, which is all that the board keeps: "
+                "measure again, or live with that error."
+            )
+    if len(windows) == 2:
+        notes.append("Two positions always lie on a line: more of them would show how straight it is.")
+    series = {
+        name: [[float(s), float(r)] for s, r in zip(strokes[:, k], sums[:, k], strict=True)]
+        for k, name in enumerate(CORNERS)
+    }
+    parameters = {"pot_low_counts": tuple(lows), "pot_high_counts": tuple(highs), "stroke_full_mm": (full,)}
+    return Result(tuple(findings), parameters, tuple(notes), series)
+
+
+def _refuse_little_spread(corner: str, stroke: Array, full: float) -> None:
+    spread = float(np.ptp(stroke))
+    if spread < SPREAD_LEAST * full:
+        raise CalibrationError(
+            f"strokes: {corner} was measured over {spread:.1f} mm only, at least {SPREAD_LEAST * full:g}; "
+            "measure positions near both ends"
+        )
+
+
+def _refuse_what_cannot_be_stored(corner: str, low: int, high: int) -> None:
+    limit = _LIMITS["pot_low_counts"]
+    if not (limit.min <= low <= limit.max and limit.min <= high <= limit.max):
+        raise CalibrationError(
+            f"strokes: the line of {corner} goes from {low} to {high} sums, outside {limit.min:g} to "
+            f"{limit.max:g}; measure again, check the wiring"
+        )
+    if abs(high - low) < SPAN_LEAST_SUMS:
+        raise CalibrationError(
+            f"strokes: {corner} changes by {abs(high - low)} sums over its stroke, at least {SPAN_LEAST_SUMS}; "
+            "check the potentiometer's supply"
+        )
+
+
+def strokes_procedure(positions_mm: Sequence[float], moves: bool) -> Procedure:
+    """Walk through these strokes, from end to end; the robot goes there itself when `moves`."""
+    if len(positions_mm) < 2:
+        raise CalibrationError("strokes: a line needs two positions; ask for at least two")
+    stages = []
+    for number, stroke in enumerate(positions_mm, 1):
+        by_hand = f"Bring all four actuators to about {stroke:g} mm (drives off the board, or by hand)."
+        stages.append(
+            Stage(
+                f"position {number} of {len(positions_mm)}, {stroke:g} mm",
+                POSITION_S,
+                unrest,
+                Move((stroke, stroke, stroke, stroke)) if moves else Confirm(by_hand),
+                Measure("Measure the strokes of FL, FR, RL and RR in mm, from fully retracted.", 4),
+            )
+        )
+    return Procedure("strokes", BoardKind.MEGA_SUSPENSION, tuple(stages), channels, solve)
+
+
+def plot(result: Result, folder: Path) -> Path:
+    """Draw Figure 3.9, motor stroke against potentiometer value, into `folder`; returns the file."""
+    from matplotlib.figure import Figure
+
+    folder.mkdir(parents=True, exist_ok=True)
+    figure = Figure(figsize=(7.0, 5.0), layout="constrained")
+    axes = figure.add_subplot()
+    low, high = result.parameters["pot_low_counts"], result.parameters["pot_high_counts"]
+    (full,) = result.parameters["stroke_full_mm"]
+    for k, name in enumerate(CORNERS):
+        points = np.array(result.series[name])
+        (line,) = axes.plot([low[k], high[k]], [0.0, full], linewidth=1.0)
+        axes.plot(points[:, 1], points[:, 0], "o", color=line.get_color(), label=name)
+    axes.set_xlabel("potentiometer value, sums of 16 conversions")
+    axes.set_ylabel("motor stroke, mm")
+    axes.grid(alpha=0.3)
+    axes.legend()
+    file = folder / "figure-3-9.png"
+    figure.savefig(file, dpi=150)
+    return file
