@@ -9,7 +9,7 @@ docs/chapter6.md.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -17,7 +17,11 @@ from scipy.linalg import solve_discrete_are
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
+
+
+_RESIDUAL = 1e-9
+"""Of the Riccati equation, relative to its solution, above which a solution is not trusted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +55,7 @@ def steady_state_gain(
             "a mode on the stability limit is not observable, or no noise drives it"
         ) from error
     innovation = c @ prior @ c.T + measurement
-    gain = np.linalg.solve(innovation, c @ prior).T
+    gain: Array = np.asarray(np.linalg.solve(innovation, c @ prior).T, dtype=np.float64)
     posterior = prior - gain @ innovation @ gain.T
     return SteadyStateGain(gain, prior, 0.5 * (posterior + posterior.T), innovation)
 
@@ -60,7 +64,8 @@ def _doubling(a: Array, c: Array, process: Array, measurement: Array) -> Array |
     """Solve the filter Riccati equation by structure-preserving doubling (Chu, Fan, Lin and Wang 2004).
 
     Ten times faster than `solve_discrete_are` on the hundred states of a wheelbase delay line, and as
-    accurate. None where it does not settle, which very small measurement noise can cause.
+    accurate where it settles. None where it does not: little noise and a road offset that is hardly
+    observable.
     """
     identity = np.eye(len(a))
     transition, gain, covariance = a.T.copy(), c.T @ np.linalg.solve(measurement, c), process.copy()
@@ -75,7 +80,11 @@ def _doubling(a: Array, c: Array, process: Array, measurement: Array) -> Array |
         if not np.isfinite(covariance).all():
             break
         if np.abs(increment).max() <= 1e-10 * np.abs(covariance).max():
-            return covariance
+            innovation = c @ covariance @ c.T + measurement
+            seen = np.linalg.solve(innovation, c @ covariance)
+            filtered = covariance - (c @ covariance).T @ seen
+            residual = a @ filtered @ a.T + process - covariance
+            return covariance if np.abs(residual).max() <= _RESIDUAL * np.abs(covariance).max() else None
     return None
 
 
