@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
 Four = tuple[float, float, float, float]
 
-WHEEL_LAG_S = 0.1
-"""How long a drive takes to bring its wheel to a commanded speed."""
-
 
 @dataclass(frozen=True, slots=True)
 class Motion:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm
 
-from tiger.emulation.body import WHEEL_LAG_S, Motion
+from tiger.emulation.body import Motion
 from tiger.models.full_car import (
     BODY_ACCELERATION,
     GRAVITY_MPS2,
@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from tiger.config.vehicle import VehicleConfig
 
 Array = NDArray[np.float64]
+
+WHEEL_LAG_S = 0.1
+"""How long a drive takes to bring its free wheel to a commanded speed."""
 
 _STATES = 14
 _INPUTS = 6

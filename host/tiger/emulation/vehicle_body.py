@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiger.config.tire import load_soil
-from tiger.emulation.body import WHEEL_LAG_S, Motion
+from tiger.emulation.body import Motion
 from tiger.emulation.ground import make_terrain
 from tiger.models import vehicle_kernel as kernel
 from tiger.models.full_car import GRAVITY_MPS2
@@ -35,7 +35,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 LONGEST_STEP_S = 1e-3
-INTEGRAL_TIME_S = 4.0 * WHEEL_LAG_S
+LOADED_LAG_S = 0.25
+"""Of a wheel's speed loop when it moves its share of the vehicle: a step of 15 rpm then takes 4 Nm, 13 A."""
+
+INTEGRAL_TIME_S = 4.0 * LOADED_LAG_S
 """Of the wheels' speed loops: their two poles coincide when the wheels carry the vehicle."""
 
 NOTICE_AFTER_S = 3.0
@@ -315,11 +318,11 @@ def _as_in(scenario: Scenario, vehicle: VehicleConfig) -> VehicleConfig:
 
 
 def _drive_record(config: VehicleConfig) -> Record:
-    """Speed loops that follow a command with a lag of `WHEEL_LAG_S` when each wheel moves its share."""
+    """Speed loops that follow a command with a lag of `LOADED_LAG_S` when each wheel moves its share."""
     tire = config.tire
     mass_kg = config.body.mass_kg + 2.0 * (config.front.unsprung_mass_kg + config.rear.unsprung_mass_kg)
     inertia = tire.spin_inertia_kgm2 + 0.25 * mass_kg * tire.rolling_radius_m**2
-    gain = inertia / WHEEL_LAG_S
+    gain = inertia / LOADED_LAG_S
     return record(
         DRIVE,
         {
