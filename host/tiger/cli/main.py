@@ -55,7 +55,7 @@ def _command(name: str, entry: Entry) -> Any:
         app.command(name)(found)
         command = typer.main.get_command(app)
     command.name = name
-    command.rich_markup_mode = None  # plain help everywhere, and no list that imports every command
+    command.rich_markup_mode = None  # type: ignore[attr-defined]  # plain help everywhere, and no list that imports every command
     return command
 
 

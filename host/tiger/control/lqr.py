@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
@@ -11,7 +11,7 @@ from scipy.linalg import expm, solve_discrete_are
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

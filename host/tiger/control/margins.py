@@ -4,7 +4,7 @@ margins."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tiger.control.ride import RideController
     from tiger.models.full_car import FullCarParameters
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 NOISE = ("noise_heave_accel_mps2", "noise_pitch_rate_radps", "noise_roll_rate_radps")
 PUSH = tuple(f"push_{corner}_n" for corner in CORNERS)

@@ -10,7 +10,7 @@ limit is in sight. DAQP solves it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from tiger.control.ride import RideWeights
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 _SOFT = 8  # DAQP's flag of a constraint that may be broken at a price
 # Units of the program, chosen so that its numbers are near one.

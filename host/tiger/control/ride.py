@@ -9,7 +9,7 @@ deflections, and forces.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import block_diag, expm
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from tiger.models.full_car import FullCarParameters
     from tiger.models.linear import LinearModel
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 PERIOD_S = 0.005
 CAR_STATES = 14

@@ -9,7 +9,7 @@ road its wheel hop.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from tiger.control.ride import RideController
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

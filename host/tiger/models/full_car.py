@@ -11,7 +11,7 @@ spring's upper seat (the EAM): both are inputs of the same model, so take the on
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from tiger.config.vehicle import VehicleConfig
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 GRAVITY_MPS2 = 9.80665
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 LEFT, RIGHT = 0, 1
 REFERENCE_CYCLES_PER_M = 0.1

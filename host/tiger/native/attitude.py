@@ -2,7 +2,7 @@
 
 The same C++ as on the board (`firmware/libraries/TigerCore/src/tiger/fusion`), fed with the raw samples that
 the board forwards. Given the forward speed of the body it takes the acceleration of the body off the
-accelerometer, which leaves gravity: the inclination stays within half a degree where without it several are lost.
+accelerometer, which leaves gravity: the inclination stays within half a degree, without it several are lost.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from tiger.estimation.identification.model import IdentifiedModel
     from tiger.models.linear import LinearModel
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 SAMPLE_S = 0.005
 PERIODS = 4

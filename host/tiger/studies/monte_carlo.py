@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from tiger.control.ride import RideController
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 BODY_ROWS = (1, 3, 5)
 BODY = ("heave", "pitch", "roll")

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from tiger.control.ride import RoadPrior
     from tiger.models.full_car import FullCarParameters
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 BODY = ("heave", "pitch", "roll")
 OFFSETS_PERCENT = (0, 5, 10, 15, 20)

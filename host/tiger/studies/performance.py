@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from tiger.models.full_car import FullCarParameters
     from tiger.models.linear import LinearModel
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 FINE_S = 0.001
 FINE_PER_PERIOD = round(ride.PERIOD_S / FINE_S)
@@ -90,13 +90,13 @@ def performance_index(p: FullCarParameters, rattle_space_m: float, run: RideRun)
     mu = np.abs(run.suspension_m).max(axis=1) / rattle_space_m
     peak = np.abs(run.accelerations).max(axis=1)
     body = np.stack([peak, _rms(run.accelerations)], axis=2).reshape(len(peak), 6)
-    return np.hstack([body, _rms(eta), mu])
+    return np.asarray(np.hstack([body, _rms(eta), mu]), dtype=np.float64)
 
 
 def fine_time_s(duration_s: float) -> Array:
     """Return the instants at which a road for `simulate` is to be evaluated, duration included."""
     steps = round(duration_s / ride.PERIOD_S)
-    return np.arange(steps * FINE_PER_PERIOD + 1) * FINE_S
+    return np.arange(steps * FINE_PER_PERIOD + 1, dtype=np.float64) * FINE_S
 
 
 def simulate(

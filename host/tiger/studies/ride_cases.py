@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from tiger.config.vehicle import VehicleConfig
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 BUMPY_SPEED_MPS = 20.0
 BUMPY_DELAYS_S = (0.0, 0.049, 0.102, 0.151)

@@ -7,7 +7,7 @@ m/s on.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from tiger.control.ride import RideController
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 MEASURES = ("heave", "pitch", "roll", "eta1", "eta2", "eta3", "eta4")
 ROWS = (1, 3, 5, 6, 7, 8, 9)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from tiger.studies.performance import RideRun
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 CUTS = ((1, "heave"), (3, "pitch"), (5, "roll"))
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from tiger.estimation.identification.frf import FrfData
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
     ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 

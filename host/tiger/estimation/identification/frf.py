@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from tiger.estimation.identification.excitation import Multisine
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
     ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
@@ -151,4 +151,4 @@ def from_noise(
         coherence[:, :, j] = gamma
         spread = (1 - gamma) / (gamma * averages)
         variance[:, :, j] = np.abs(response[:, :, j]) ** 2 * np.maximum(spread, 1e-12)
-    return FrfData(frequency[band], response, variance, coherence, sample_s)
+    return FrfData(np.asarray(frequency[band], dtype=np.float64), response, variance, coherence, sample_s)

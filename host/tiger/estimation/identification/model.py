@@ -12,7 +12,7 @@ from tiger.models.linear import LinearModel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
     ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 

@@ -7,7 +7,7 @@ right, which is why few parameters do with little signal; what it cannot explain
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from tiger.estimation.identification.frf import FrfData
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
 
 PARAMETERS = tuple(f.name for f in fields(FullCarParameters) if f.name != "com_left_m")
 

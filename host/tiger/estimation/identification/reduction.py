@@ -3,7 +3,7 @@ form."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import block_diag, solve_continuous_lyapunov, svd
@@ -11,7 +11,7 @@ from scipy.linalg import block_diag, solve_continuous_lyapunov, svd
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
     System = tuple[Array, Array, Array, Array]
 
 
@@ -69,7 +69,7 @@ def modal_blocks(system: System) -> tuple[Array, Array, Array, Array]:
         blocks[row] = (p * q).real, -(p + q).real
         companion_vectors = np.array([[1, 1], [p, q]])
         transform[:, 2 * row : 2 * row + 2] = (vectors[:, [i, j]] @ np.linalg.inv(companion_vectors)).real
-    return blocks, np.linalg.solve(transform, b), c @ transform, d
+    return blocks, np.asarray(np.linalg.solve(transform, b), dtype=np.float64), c @ transform, d
 
 
 def from_blocks(blocks: Array) -> Array:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from tiger.estimation.identification.frf import FrfData
 
-    Array = NDArray[np.floating[Any]]
+    Array = NDArray[np.float64]
     ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
@@ -143,7 +143,7 @@ def expand(data: FrfData, poles: ComplexArray) -> tuple[Array, Array, Array, Arr
     by_path = coefficients.reshape(n + 1, outputs, inputs)
     dynamics, excite = _real_dynamics(poles)
     # Observer form per output: A' carries the basis, B the coefficients, C reads the basis.
-    a = np.kron(np.eye(outputs), dynamics.T)
+    a = np.asarray(np.kron(np.eye(outputs), dynamics.T), dtype=np.float64)
     b = np.vstack([by_path[:n, i] for i in range(outputs)])
-    c = np.kron(np.eye(outputs), excite[None])
+    c = np.asarray(np.kron(np.eye(outputs), excite[None]), dtype=np.float64)
     return a, b, c, by_path[n]
