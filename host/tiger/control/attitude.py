@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
 _NEAR_LIMIT_MM = 0.5
 _STILL_SMOOTHING_S = 0.2
-_LARGE_ZONES = 3.0
-"""An error of so many dead zones goes before one inside the zone."""
 _SOON = 8.0
 """Waking within this many still times is soon; it is also the most that the still time grows."""
 
@@ -158,7 +156,7 @@ def step(
     if phase.moving:
         speed = suspension.pose(tuple(m * v for m, v in zip(ratio, rate, strict=True)))
         turning = _turning(design, phase, target)
-        pressing = _pressing(design, error)
+        pressing = _pressing(design, error, turning)
         wanted = _feedback(design, turning, pressing, ride_error, present.warp_mm, speed)
         limits = _rate_limits(design, stroke_mm, rate)
         goal = _allocate(suspension, wanted, ratio, limits)
@@ -218,13 +216,22 @@ def _turning(design: LevelingDesign, phase: Phase, target: Target) -> tuple[floa
     )
 
 
-def _pressing(design: LevelingDesign, error: tuple[float, float]) -> tuple[float, float]:
-    """Roll and pitch error without one that is inside the dead zone: it can wait while the other is large."""
-    roll, pitch = error
-    zone = design.wake_moving_rad
-    if max(abs(roll), abs(pitch)) < _LARGE_ZONES * zone:
+def _pressing(
+    design: LevelingDesign, error: tuple[float, float], turning_radps: tuple[float, float]
+) -> tuple[float, float]:
+    """Roll and pitch error, without one inside the dead zone while the actuators are busy with the other."""
+    demand = [
+        abs(rate + design.error_gain_per_s * angle) / limit
+        for angle, rate, limit in zip(error, turning_radps, design.turn_limits_radps, strict=True)
+    ]
+    if max(demand) < 1.0:
         return error
-    return roll if abs(roll) > zone else 0.0, pitch if abs(pitch) > zone else 0.0
+    zone = design.wake_moving_rad
+    roll, pitch = (
+        angle if share >= 1.0 or abs(angle) > zone else 0.0
+        for angle, share in zip(error, demand, strict=True)
+    )
+    return roll, pitch
 
 
 def _feedback(

@@ -54,7 +54,7 @@ def test_a_wrong_axis_is_named() -> None:
 def test_a_harmonic_too_fast_to_follow_leaves_little_more_than_it_must(
     axis: str, overspeed: float, record_figure
 ) -> None:
-    top_hz_deg = {"roll": 0.277, "pitch": 0.333}[axis]  # the actuators' fastest turn over 2 pi
+    top_hz_deg = {"roll": 0.2833, "pitch": 0.34}[axis]  # the actuators' fastest turn over 2 pi
     report = shaking_plate.run(axis=axis, amplitude_deg=2.0, frequency_hz=overspeed * top_hz_deg / 2.0)
     assert value(report, "harmonic: top rate over the actuators'") == pytest.approx(overspeed, rel=0.02)
     over = value(report, "harmonic: over the least residual")
