@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 class RoughnessGauge:
     """How the road is judged: a high-pass, a mean square, and the range over which the force goes over."""
 
-    corner_hz: float = 6.0
-    memory_s: float = 0.3
-    smooth_mps2: float = 0.08
-    rough_mps2: float = 0.16
+    corner_hz: float = 10.0
+    memory_s: float = 0.2
+    smooth_mps2: float = 0.05
+    rough_mps2: float = 0.10
 
 
 @dataclass(frozen=True, slots=True, eq=False)

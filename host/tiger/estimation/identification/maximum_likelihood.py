@@ -67,16 +67,18 @@ def _truncate(data: FrfData, system: System, order: int) -> tuple[System, Array]
 
 
 def _choose(data: FrfData, full: System, iterations: int) -> tuple[int, Fit, Array]:
-    """Fit the candidate orders from the largest down, each from the one before, and keep the best."""
+    """Fit the candidate orders from the largest down and keep the best by the information criterion."""
     samples = 2 * int(np.isfinite(data.variance).sum())
     outputs, inputs = data.response.shape[1:]
     best: tuple[float, int, Fit, Array] | None = None
     system = full
-    hankel: Array = np.zeros(0)
+    hankel = _truncate(data, full, max(CANDIDATES))[1]
     for order in sorted(CANDIDATES, reverse=True):
-        reduced, values = _truncate(data, system, order)
-        hankel = hankel if len(hankel) else values
-        fit = refine(data, *modal_blocks(reduced), iterations)
+        # Two starts, for either may end in a valley of its own: the fit above, and vector fitting itself.
+        starts = [_truncate(data, full, order)[0]]
+        if best is not None:
+            starts.append(_truncate(data, system, order)[0])
+        fit = min((refine(data, *modal_blocks(start), iterations) for start in starts), key=lambda f: f.cost)
         system = from_blocks(fit.blocks), fit.b, fit.c, fit.d
         parameters = order * (outputs + inputs) + outputs * inputs
         # Twice the negative log-likelihood: real and imaginary part each have half the variance.
