@@ -42,6 +42,11 @@ def position_name(axis: int, sign: float) -> str:
     return f"{AXES[axis]} axis {'up' if sign > 0.0 else 'down'}"
 
 
+def _up(axis: int, sign: float) -> tuple[float, float, float]:
+    x, y, z = (sign * np.eye(3)[axis]).tolist()
+    return x, y, z
+
+
 def not_upright(axis: int, sign: float, readings: Array) -> str | None:
     """Why readings (N, 6) are not those of a sensor lying still in a position; None when they are."""
     accel = readings[:, :3]
@@ -79,7 +84,7 @@ def solve(windows: tuple[Window, ...], before: Values) -> Result:
     worst_offset, worst_scale = float(np.abs(offset).max()), float(np.abs(scale - 1.0).max())
     if worst_offset > 3.0 or worst_scale > 0.2:
         raise CalibrationError(
-            f"accelerometer: an offset of {worst_offset:.2f} m/s2 and a scale {100.0 * worst_scale:.0f} % off "
+            f"accel: an offset of {worst_offset:.2f} m/s2 and a scale {100.0 * worst_scale:.0f} % off "
             "cannot be stored (at most 3 m/s2 and 20 %); do it again, and replace the sensor if it stays"
         )
     old_offset = np.asarray(before["accel_offset_mps2"])
@@ -110,9 +115,9 @@ def accel_procedure(position_s: float = POSITION_S) -> Procedure:
             name,
             position_s,
             partial(not_upright, axis, sign),
-            Confirm(f"Lay the sensor (or the robot) down with its {name}, within 20 degrees or so."),
+            Confirm(f"Lay the sensor (or the robot) down with its {name}, within 20 degrees or so.", up),
         )
         for axis, sign in POSITIONS
-        for name in (position_name(axis, sign),)
+        for name, up in ((position_name(axis, sign), _up(axis, sign)),)
     )
     return Procedure("accel", BoardKind.NANO_IMU, stages, channels, solve)

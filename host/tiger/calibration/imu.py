@@ -1,8 +1,8 @@
 """Rest calibration of the gyroscope: its bias, and whether its noise is that of the data sheet.
 
-Bias is the mean of a still window, noise its standard deviation. Random walk of the bias is not looked for (no
-Allan variance): it would take hours and the board's filter follows it anyway. What a BNO055 has at rest it has
-until its next power-up only; the daemon measures it again whenever the robot stands still before it is armed.
+Bias is the mean of a still window, noise its standard deviation. Random walk of the bias is not looked for
+(no Allan variance): it would take hours, and the board's filter follows it anyway. The bias of a BNO055 is
+another one after each power-up; the daemon measures it again while the robot stands before it is armed.
 """
 
 from __future__ import annotations

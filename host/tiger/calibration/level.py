@@ -77,8 +77,8 @@ def solve(windows: tuple[Window, ...], before: Values) -> Result:
             apart = max(window.stroke_mm) - min(window.stroke_mm)
             if apart > STROKES_APART_MOST_MM:
                 raise CalibrationError(
-                    f"level: the strokes are {apart:.1f} mm apart, at most {STROKES_APART_MOST_MM:g}: the body "
-                    "leans on its mechanisms; run `tiger calibrate level --arm`, which makes them equal"
+                    f"level: the strokes are {apart:.1f} mm apart, at most {STROKES_APART_MOST_MM:g}: the "
+                    "body leans on its mechanisms; run `tiger calibrate level --arm`, which makes them equal"
                 )
     ups = [_up(window, before) for window in windows]
     up = np.mean(ups, axis=0)
@@ -86,8 +86,8 @@ def solve(windows: tuple[Window, ...], before: Values) -> Result:
     tilt = math.degrees(turn.magnitude())
     if up[2] <= 0.0 or tilt > TILT_MOST_DEG:
         raise CalibrationError(
-            f"level: the sensor is tilted by {tilt:.0f} degrees, at most {TILT_MOST_DEG:g}; mount it with its x "
-            "forward and its z up"
+            f"level: the sensor is tilted by {tilt:.0f} degrees, at most {TILT_MOST_DEG:g}; mount it with "
+            "its x forward and its z up"
         )
     roll, pitch = _lean_deg(up)
     findings = [
@@ -100,8 +100,8 @@ def solve(windows: tuple[Window, ...], before: Values) -> Result:
         findings.append(Finding("slope of the ground", slope, "degrees", SLOPE_MOST_DEG))
         if slope > SLOPE_MOST_DEG:
             raise CalibrationError(
-                f"level: the two headings differ by a slope of {slope:.1f} degrees, at most {SLOPE_MOST_DEG:g}; "
-                "find flatter ground"
+                f"level: the ground slopes by {slope:.1f} degrees, at most {SLOPE_MOST_DEG:g}; find flatter "
+                "ground"
             )
     else:
         notes.append("The ground was taken as level; `--turn` measures its slope and takes it out.")
@@ -131,25 +131,11 @@ def level_procedure(turned: bool = False, even_mm: float | None = None, rest_s: 
         rest_s: length of a measurement.
     """
     at_rest = partial(Stage, gather_s=rest_s, check=unrest)
-    stages = [at_rest("on level ground", pose=Confirm("Let the robot stand still on level ground, unloaded."))]
+    pose: Confirm | Move = Confirm("Let the robot stand still on level ground, unloaded.")
     if even_mm is not None:
-        even = Move((even_mm, even_mm, even_mm, even_mm))
-        stages = [
-            at_rest(
-                "before the strokes are evened",
-                gather_s=0.5,
-                pose=Confirm("Let the robot stand on level ground, unloaded. Keep clear of the suspension."),
-            ),
-            at_rest("on level ground", pose=even),
-        ]
+        pose = Move((even_mm, even_mm, even_mm, even_mm))
+    stages = [at_rest("on level ground", pose=pose)]
     if turned:
         text = "Turn the robot round by half a turn, onto the same spot. Let it stand still."
-        stages.append(at_rest("turned round", pose=Confirm(text)))
-    skipped = 0 if even_mm is None else 1
-    return Procedure(
-        "level",
-        BoardKind.NANO_IMU,
-        tuple(stages),
-        channels,
-        lambda windows, before: solve(windows[skipped:], before),
-    )
+        stages.append(at_rest("turned round", pose=Confirm(text, turn_deg=180.0)))
+    return Procedure("level", BoardKind.NANO_IMU, tuple(stages), channels, solve)

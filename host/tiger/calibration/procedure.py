@@ -38,14 +38,16 @@ class CalibrationError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Confirm:
-    """A person must do something and say when it is done."""
+    """A person must do something and say when it is done; the rest says it to the emulated person."""
 
     text: str
+    up: tuple[float, float, float] | None = None  # axis of the sensor that must point up
+    turn_deg: float | None = None  # heading of the robot, against where it stood
 
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """All four actuators must go to these strokes; only a robot that a person armed does it."""
+    """All four actuators must go to these strokes; only with the leave of a person."""
 
     stroke_mm: Four
 

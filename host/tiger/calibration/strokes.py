@@ -118,8 +118,8 @@ def _refuse_what_cannot_be_stored(corner: str, low: int, high: int) -> None:
         )
     if abs(high - low) < SPAN_LEAST_SUMS:
         raise CalibrationError(
-            f"strokes: {corner} changes by {abs(high - low)} sums over its stroke, at least {SPAN_LEAST_SUMS}; "
-            "check the potentiometer's supply"
+            f"strokes: {corner} changes by {abs(high - low)} sums over its stroke, at least "
+            f"{SPAN_LEAST_SUMS}; check the potentiometer's supply"
         )
 
 
