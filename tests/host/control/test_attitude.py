@@ -118,6 +118,15 @@ def test_a_corner_at_its_end_leaves_its_work_to_the_others() -> None:
     assert (fr, rr) == pytest.approx((-TOP, -TOP))
 
 
+def test_an_error_inside_the_dead_zone_waits_while_the_other_axis_needs_all_there_is() -> None:
+    small, large = math.radians(0.1), math.radians(3.0)
+    assert attitude._pressing(DESIGN, (large, small), (0.0, 0.0)) == (large, 0.0)
+    assert attitude._pressing(DESIGN, (small, large), (0.0, 0.0)) == (0.0, large)
+    assert attitude._pressing(DESIGN, (small, small), (0.0, 0.0)) == (small, small)
+    fast = (1.1 * DESIGN.turn_limits_radps[0], 0.0)
+    assert attitude._pressing(DESIGN, (small, small), fast) == (small, 0.0)
+
+
 # ---- moves --------------------------------------------------
 
 
