@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tiger.control import ride_designs
+from tiger.control.margins import margins
 from tiger.control.ride import ImuNoise
 from tiger.control.ride_schedule import ScheduledRide
 from tiger.studies import ride_cases
@@ -55,6 +56,12 @@ def run(
     _bumpy(case, bumpy_noise, preview, range(first_seed, first_seed + bumpy_seeds), rows, series)
     _report(progress, 0.3)
     _iso(case, iso_noise, preview, range(first_seed, first_seed + iso_seeds), rows, series, progress)
+    bumpy, iso = compare_schedule(vehicle)
+    rows += [
+        Row("one scheduled controller over the separate design, worst bumpy row", float(bumpy.max()), "-"),
+        Row("one scheduled controller over the separate design, worst iso row", float(iso.max()), "-"),
+    ]
+    _margins(rows, case)
     return Report(
         "Table 6.2: simulation results for the two road profiles",
         tuple(rows),
@@ -154,6 +161,28 @@ def compare_schedule(
         ]
         result.append(index[0] / index[1])
     return result[0], result[1]
+
+
+def _margins(rows: list[Row], case: ride_cases.Case) -> None:
+    """Say how fragile each design is on the very vehicle it is designed for."""
+    tau = case.car.wheelbase_m / ride_cases.ISO_SPEED_MPS
+    designs = (
+        ("bumpy preview x0.03", ride_designs.BUMPY_PREVIEW_TACTICAL, 0.03, ride_cases.BUMPY_PREVIEW_S, 0),
+        ("bumpy preview x0.1", ride_designs.BUMPY_PREVIEW, 0.1, ride_cases.BUMPY_PREVIEW_S, 0),
+        ("bumpy plain x1", ride_designs.BUMPY_PLAIN, 1.0, None, 0),
+        ("iso comfort preview", ride_designs.ISO_PREVIEW, 1.0, tau, 0),
+        ("iso holding", ride_designs.HOLDING_PLAIN, 1.0, None, 0),
+        ("iso holding preview", ride_designs.HOLDING_PREVIEW, 1.0, tau, 0),
+        ("robust", ride_designs.ROBUST, 1.0, None, 1),
+    )
+    for name, tuning, factor, preview, late in designs:
+        controller = tuning.controller(case.car, ImuNoise().scaled(factor), preview, delay_samples=late)
+        own = margins(case.car, controller)
+        rows += [
+            Row(f"{name}: disk margin, one loop at a time", own.disk_margin, "-"),
+            Row(f"{name}: disk margin, all loops at once", own.multiloop_disk_margin, "-"),
+            Row(f"{name}: delay margin beyond the designed delay", 1000 * own.delay_margin_s, "ms"),
+        ]
 
 
 def _rows(rows: list[Row], name: str, index: Array) -> None:
