@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, degrees, pi, radians, sin
+from math import cos, degrees, pi, radians, sin, tan
 from pathlib import Path
 
 import pytest
@@ -10,11 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tiger.config.errors import ConfigError
-from tiger.emulation.scenarios import PlateAxis, Scenario, load_scenario, scenario_names
+from tiger.emulation.ground import make_terrain
+from tiger.emulation.scenarios import PlateAxis, Scenario, TerrainConfig, load_scenario, scenario_names
+from tiger.models.road import LEFT, RIGHT, iso_road
 
 HEAD = 'title = "t"\nduration_s = 10.0\n'
 RAMP = '[[plate]]\naxis = "roll"\nat_s = 1.0\nto_deg = 4.0\nover_s = 2.0\n'
 HARMONIC = '[[plate]]\naxis = "pitch"\nat_s = 1.0\namplitude_deg = 2.0\nfrequency_hz = 0.5\n'
+DRIVE = "[[drive]]\nat_s = 5.0\nspeed_mps = 0.5\nyaw_rate_degps = 5.0\n"
 
 
 def write(tmp_path: Path, text: str) -> Path:
@@ -113,9 +116,64 @@ def test_faults_and_start_are_read(tmp_path: Path) -> None:
     )
 
 
+def test_ground_start_payload_and_drive_are_read(tmp_path: Path) -> None:
+    scenario = load_scenario(
+        write(
+            tmp_path,
+            HEAD
+            + 'soil = "dry-sand"\nfriction = 0.5\n'
+            + "[start]\nx_m = 2.0\nspeed_mps = 0.3\n"
+            + "[payload]\nmass_kg = 20.0\nplace_m = [0.1, 0.0, 0.2]\n"
+            + "[terrain]\nleft_up_deg = 5.0\n[[terrain.step]]\nheight_m = 0.05\nstart_m = 1.0\n"
+            + DRIVE
+            + "[[drive]]\nat_s = 9.0\n",
+        )
+    )
+    assert scenario.model == "vehicle"
+    assert (scenario.start.x_m, scenario.start.speed_mps, scenario.start.y_m) == (2.0, 0.3, 0.0)
+    assert scenario.payload is not None
+    assert scenario.payload.mass_kg == 20.0
+    assert (scenario.drive[0].yaw_rate_degps, scenario.drive[1].speed_mps) == (5.0, 0.0)
+    terrain = make_terrain(scenario.terrain, 0.6)
+    height, slope_x, slope_y = (float(value) for value in terrain.at(5.0, 1.0))
+    assert (height, slope_x) == pytest.approx((tan(radians(5.0)) + 0.05, 0.0))
+    assert slope_y == pytest.approx(tan(radians(5.0)))
+
+
+def test_a_road_lies_under_the_wheel_tracks() -> None:
+    road = TerrainConfig.model_validate({"road": {"roughness": "C", "seed": 4}})
+    terrain, profile = make_terrain(road, 0.6), iso_road("C", 4)
+    for y_m, lane in ((0.6, LEFT), (-0.6, RIGHT)):
+        assert terrain.at(7.0, y_m)[0] == pytest.approx(profile.height_m(7.0, lane), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["side-slope", "twist", "curb", "uneven-terrain", "loose-slope", "iso-road"])
+def test_terrain_scenarios_rest_before_they_drive_and_stop_before_they_end(name: str) -> None:
+    scenario = load_scenario(name)
+    first, last = scenario.drive[0], scenario.drive[-1]
+    assert scenario.model == "vehicle"
+    assert first.at_s >= 6.0
+    assert first.speed_mps > 0.0
+    assert last.speed_mps == last.yaw_rate_degps == 0.0
+    assert last.at_s + 2.0 <= scenario.duration_s
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
+        (
+            HEAD + 'model = "linear"\nsoil = "dry-sand"\n',
+            'soil means nothing to model = "linear", which stands on a plate',
+        ),
+        (HEAD + 'model = "cubic"\n', "model = 'cubic'"),
+        (HEAD + DRIVE + DRIVE, "the drive at 5 s does not come after the one at 5 s"),
+        (
+            HEAD + '[terrain.road]\nroughness = "C"\n[terrain.rough]\nroughness = "C"\n',
+            "there is one height field",
+        ),
+        (HEAD + '[terrain.road]\nroughness = "Z"\n', "terrain.road.roughness = 'Z'"),
+        (HEAD + "[terrain]\nleft_up_deg = 80.0\n", "terrain.left_up_deg = 80.0"),
+        (HEAD + "[payload]\nmass_kg = 20.0\n", "payload.place_m is missing"),
         ("duration_s = 1.0\n", "title is missing"),
         ('title = "t"\nduration_s = -1.0\n', "duration_s = -1.0: input should be greater than 0"),
         (HEAD + "duration = 3\n", "duration is not a known key"),
