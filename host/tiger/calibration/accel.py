@@ -7,6 +7,7 @@ point up once and down once, or its offset and scale cannot be told apart.
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 import numpy as np
@@ -90,17 +91,27 @@ def solve(windows: tuple[Window, ...], before: Values) -> Result:
     old_offset = np.asarray(before["accel_offset_mps2"])
     old_scale = np.asarray(before["accel_scale_permille"]) / 1000.0
     missed = np.linalg.norm(old_scale * (means - old_offset), axis=1) - GRAVITY_MPS2
+    spread = max(float(w.readings[:, :3].std(axis=0).max()) / math.sqrt(len(w.readings)) for w in windows)
     findings = [
-        Finding(f"offset {axis}", float(value), "m/s2", OFFSET_MOST_MPS2, abs(value) <= OFFSET_MOST_MPS2)
+        Finding(
+            f"offset {axis}", float(value), "m/s2", OFFSET_MOST_MPS2, bool(abs(value) <= OFFSET_MOST_MPS2)
+        )
         for axis, value in zip(AXES, offset, strict=True)
     ]
     findings += [
-        Finding(f"scale {axis}", float(value), "", SCALE_ERROR_MOST, abs(value - 1.0) <= SCALE_ERROR_MOST)
+        Finding(
+            f"scale {axis}",
+            float(value),
+            "",
+            1.0 + SCALE_ERROR_MOST,
+            bool(abs(value - 1.0) <= SCALE_ERROR_MOST),
+        )
         for axis, value in zip(AXES, scale, strict=True)
     ]
     findings += [
         Finding("gravity error before", float(np.sqrt(np.mean(missed**2))), "m/s2 RMS"),
-        Finding("gravity error after", float(np.sqrt(np.mean(left**2))), "m/s2 RMS"),
+        Finding("left by the fit", float(np.sqrt(np.mean(left**2))), "m/s2 RMS"),
+        Finding("uncertainty of a mean", spread, "m/s2"),
     ]
     notes = () if all(f.good for f in findings) else ("Beyond the data sheet: consider another sensor.",)
     (bx, by, bz), (sx, sy, sz) = offset.tolist(), (1000.0 * scale).tolist()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tiger.calibration.procedure import CalibrationError
+from tiger.calibration.procedure import What
 from tiger.models.full_car import GRAVITY_MPS2
 from tiger.models.sensors.imu import ImuReading
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from tiger.rig.virtual import Rig
 
 RULER_MM = 0.1
+TAPE_M = 0.005
+PROTRACTOR_DEG = 0.5
 CLUMSY_DEG = 8.0
 
 
@@ -74,10 +77,12 @@ class EmulatedPerson:
         self._rig = rig
         self._random = np.random.default_rng(seed)
         self._say = say
+        self._mark = rig.robot.truth()
 
     def confirm(self, ask: Confirm) -> None:
         """Do it, a little clumsily."""
         self._say(ask.text)
+        self._mark = self._rig.robot.truth()
         self.imu.up = None
         if ask.up is not None:
             clumsy = Rotation.from_rotvec(self._random.uniform(-CLUMSY_DEG, CLUMSY_DEG, 3), degrees=True)
@@ -86,12 +91,16 @@ class EmulatedPerson:
             self.imu.heading = Rotation.from_euler("z", ask.turn_deg, degrees=True)
 
     def measure(self, ask: Measure) -> tuple[float, ...]:
-        """Read the strokes off the ruler."""
-        strokes = self._rig.robot.truth().stroke_mm
-        if ask.count != len(strokes):
-            raise CalibrationError(f"emulated person: cannot measure {ask.text!r}; answer it on hardware")
-        read = tuple(round(stroke / RULER_MM) * RULER_MM for stroke in strokes)
-        self._say(f"{ask.text} " + " ".join(f"{value:.1f}" for value in read))
+        """Read the ruler, the tape or the protractor: the world against its last mark."""
+        truth = self._rig.robot.truth()
+        if ask.what is What.STROKES:
+            read = tuple(round(stroke / RULER_MM) * RULER_MM for stroke in truth.stroke_mm)
+        elif ask.what is What.DISTANCE:
+            read = (round(math.dist(truth.position_m[:2], self._mark.position_m[:2]) / TAPE_M) * TAPE_M,)
+        else:
+            beyond_deg = math.remainder(truth.yaw_deg - self._mark.yaw_deg, 360.0)
+            read = (round(beyond_deg / PROTRACTOR_DEG) * PROTRACTOR_DEG,)
+        self._say(f"{ask.text} " + " ".join(f"{value:g}" for value in read))
         return read
 
     def permit(self, text: str) -> bool:

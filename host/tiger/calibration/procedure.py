@@ -52,12 +52,25 @@ class Move:
     stroke_mm: Four
 
 
+class What(Enum):
+    """Kind of a measurement."""
+
+    STROKES = "strokes"  # mm, FL FR RL RR
+    DISTANCE = "distance"  # m, from the mark
+    BEYOND = "beyond"  # degrees beyond full turns
+
+    @property
+    def count(self) -> int:
+        """How many numbers it gives."""
+        return 4 if self is What.STROKES else 1
+
+
 @dataclass(frozen=True, slots=True)
 class Measure:
     """A person must measure something and type the numbers."""
 
     text: str
-    count: int
+    what: What
 
 
 Ask = Confirm | Move | Measure

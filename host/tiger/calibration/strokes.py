@@ -22,6 +22,7 @@ from tiger.calibration.procedure import (
     Result,
     Stage,
     Values,
+    What,
     Window,
 )
 from tiger.protocol.messages import PARAMS, BoardKind, Message, SuspensionRaw
@@ -136,7 +137,7 @@ def strokes_procedure(positions_mm: Sequence[float], moves: bool) -> Procedure:
                 POSITION_S,
                 unrest,
                 Move((stroke, stroke, stroke, stroke)) if moves else Confirm(by_hand),
-                Measure("Measure the strokes of FL, FR, RL and RR in mm, from fully retracted.", 4),
+                Measure("Measure the strokes of FL, FR, RL, RR in mm, from fully retracted.", What.STROKES),
             )
         )
     return Procedure("strokes", BoardKind.MEGA_SUSPENSION, tuple(stages), channels, solve)
