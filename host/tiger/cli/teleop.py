@@ -1,0 +1,323 @@
+"""`tiger teleop`: drive by hand, with the keyboard or a gamepad, over the daemon's socket.
+
+Nothing moves unless a key or the gamepad's dead-man button is held. Should this program die, hang or lose its
+terminal, the daemon stops the robot half a second after its last word.
+
+`Keys` and `Gamepad` turn what hands do into a motion; both are free of I/O and clocks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import select
+import struct
+import sys
+import termios
+import time
+import tty
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
+
+import typer
+
+from tiger.cli.ctl import connected
+from tiger.daemon.client import Refused, Robot
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+PERIOD_S = 0.05  # between two drive commands
+STATUS_EVERY = 4  # of these
+LEVELS = 5
+FIRST_HOLD_S = 0.7  # a terminal repeats a held key only after a pause of up to this ...
+REPEAT_HOLD_S = 0.15  # ... and then so often that this silence means it was let go
+
+Motion = tuple[float, float]  # parts of the largest speed and yaw rate, -1 to 1
+STILL: Motion = (0.0, 0.0)
+
+
+class Hands(Protocol):
+    """A keyboard or a gamepad."""
+
+    level: int
+
+    def fileno(self) -> int:
+        """The descriptor to wait on."""
+
+    def read(self, now_s: float) -> list[str]:
+        """Take what arrived; returns what was asked for besides motion. Raises OSError when it is gone."""
+
+    def motion(self, now_s: float) -> Motion:
+        """The motion that is asked for now."""
+
+
+# ---- keyboard -----------------------------------------------
+
+MOVES: dict[str, Motion] = {
+    "i": (1.0, 0.0),
+    "k": (-1.0, 0.0),
+    "j": (0.0, 1.0),
+    "l": (0.0, -1.0),
+    "u": (1.0, 0.5),
+    "o": (1.0, -0.5),
+    "\x1b[A": (1.0, 0.0),
+    "\x1b[B": (-1.0, 0.0),
+    "\x1b[D": (0.0, 1.0),
+    "\x1b[C": (0.0, -1.0),
+}
+ASKS = {"a": "arm", "d": "disarm", "c": "clear", " ": "estop", "q": "quit", "\x03": "quit"}
+KEYS_HELP = """hold to move:  arrows or i k j l  forward, back, left, right;  u o  forward in a curve
+1-5 speed level   a arm   d disarm   c clear faults   space emergency stop   q quit"""
+
+
+@dataclass
+class Keys:
+    """Keys held down, as far as a terminal tells: it repeats the last one that is held, and says no more."""
+
+    level: int = 1
+    _motion: Motion = STILL
+    _key: str = ""
+    _until_s: float = -math.inf
+
+    def press(self, text: str, now_s: float) -> list[str]:
+        """Take what the terminal sent; returns what was asked for besides motion."""
+        asked = []
+        for key in _split(text):
+            if key in MOVES:
+                is_repeat = key == self._key and now_s < self._until_s
+                self._key, self._motion = key, MOVES[key]
+                self._until_s = now_s + (REPEAT_HOLD_S if is_repeat else FIRST_HOLD_S)
+                continue
+            self._until_s = -math.inf  # any other key stops
+            if key in ASKS:
+                asked.append(ASKS[key])
+            elif key.isdecimal() and 1 <= int(key) <= LEVELS:
+                self.level = int(key)
+        return asked
+
+    def motion(self, now_s: float) -> Motion:
+        """The motion of the key that is held."""
+        return self._motion if now_s < self._until_s else STILL
+
+
+def _split(text: str) -> Iterator[str]:
+    """Single keys; an arrow is three characters."""
+    while text:
+        length = 3 if text.startswith("\x1b[") else 1
+        yield text[:length]
+        text = text[length:]
+
+
+class Keyboard(Keys):
+    """The terminal, with each key handed over at once. A context manager."""
+
+    path = "/dev/tty"
+
+    def __enter__(self) -> Keyboard:
+        self._terminal = os.open(self.path, os.O_RDONLY)
+        self._before = termios.tcgetattr(self._terminal)
+        tty.setcbreak(self._terminal)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._before)
+        os.close(self._terminal)
+
+    def fileno(self) -> int:
+        """The descriptor to wait on."""
+        return self._terminal
+
+    def read(self, now_s: float) -> list[str]:
+        """Take the keys that were pressed."""
+        data = os.read(self._terminal, 64)
+        if not data:
+            raise OSError("the terminal was closed")
+        return self.press(data.decode("ascii", "ignore"), now_s)
+
+
+# ---- gamepad ------------------------------------------------
+
+EVENT = struct.Struct("<IhBB")  # time ms, value, type, number: the kernel's joystick interface
+BUTTON, AXIS, INITIAL = 0x01, 0x02, 0x80
+FULL = 32767.0
+DEAD_ZONE = 0.08
+PAD_HELP = """hold the dead-man button {deadman} to move: left stick speed, right stick direction
+D-pad up and down: speed level   start: arm   back: disarm   button 1 (B): emergency stop   Ctrl-C quits"""
+
+
+@dataclass
+class Gamepad:
+    """Sticks and buttons, numbered as the kernel's `xpad` driver does."""
+
+    deadman: int = 4
+    speed_axis: int = 1
+    yaw_axis: int = 3
+    level_axis: int = 7
+    level: int = 1
+    asks: dict[int, str] = field(default_factory=lambda: {1: "estop", 6: "disarm", 7: "arm"})
+    _held: bool = False
+    _sticks: dict[int, float] = field(default_factory=dict)
+    _rest: bytes = b""
+
+    def feed(self, data: bytes) -> list[str]:
+        """Take bytes of /dev/input/js*; returns what was asked for besides motion."""
+        data = self._rest + data
+        whole = len(data) - len(data) % EVENT.size
+        self._rest = data[whole:]
+        asked = []
+        for _, value, kind, number in EVENT.iter_unpack(data[:whole]):
+            if kind & INITIAL:  # the state when it was opened, or after lost events: nobody's wish
+                self._held &= not (kind & BUTTON and number == self.deadman and not value)
+            elif kind == AXIS:
+                self._move(number, value / FULL)
+            elif kind == BUTTON and number == self.deadman:
+                self._held = bool(value)
+            elif kind == BUTTON and value and number in self.asks:
+                asked.append(self.asks[number])
+        return asked
+
+    def _move(self, axis: int, value: float) -> None:
+        if axis != self.level_axis:
+            self._sticks[axis] = value
+        elif abs(value) > 0.5:  # up is negative
+            self.level = min(max(self.level + (1 if value < 0.0 else -1), 1), LEVELS)
+
+    def motion(self, now_s: float) -> Motion:
+        """The sticks while the dead-man button is held; up and left are negative there."""
+        if not self._held:
+            return STILL
+        return _past_dead_zone(-self._sticks.get(self.speed_axis, 0.0)), _past_dead_zone(
+            -self._sticks.get(self.yaw_axis, 0.0)
+        )
+
+
+def _past_dead_zone(value: float) -> float:
+    beyond = max(abs(value) - DEAD_ZONE, 0.0) / (1.0 - DEAD_ZONE)
+    return math.copysign(min(beyond, 1.0), value) if beyond else 0.0
+
+
+class GamepadDevice(Gamepad):
+    """One /dev/input/js*. A context manager once `path` is set."""
+
+    path: Path
+
+    def __enter__(self) -> GamepadDevice:
+        self._device = os.open(self.path, os.O_RDONLY)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        os.close(self._device)
+
+    def fileno(self) -> int:
+        """The descriptor to wait on."""
+        return self._device
+
+    def read(self, now_s: float) -> list[str]:
+        """Take the events that are there."""
+        return self.feed(os.read(self._device, 64 * EVENT.size))
+
+
+# ---- the program --------------------------------------------
+
+
+@dataclass
+class Teleop:
+    """Carries motion to the robot: a `step` every 50 ms. `say` gets a line when something changes."""
+
+    robot: Robot
+    say: Callable[[str], None]
+    _state: str = ""
+    _told: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    _steps: int = 0
+    _limits: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    def step(self, motion: Motion, level: int) -> None:
+        """Send one drive command if the robot is armed; zero while nothing is held."""
+        if self._steps % STATUS_EVERY == 0:
+            answer = self.robot.ask("status")
+            self._limits = answer["limits"]
+            self._state = answer["status"]["state"]
+            problems = [str(p["where"]) + ": " + p["text"] for p in answer["status"]["record"]["problems"]]
+            self._tell("state", f"{self._state}: {answer['status']['reason']}", *problems)
+        self._steps += 1
+        if self._state != "ARMED":
+            return
+        part = level / LEVELS
+        speed_mps = motion[0] * part * self._limits["speed_mps"][1]
+        yaw_rate_radps = motion[1] * part * self._limits["yaw_rate_radps"][1]
+        if self.ask("drive", speed_mps=speed_mps, yaw_rate_radps=yaw_rate_radps):
+            turning = math.degrees(yaw_rate_radps)
+            self._tell("drive", f"level {level}: {speed_mps:+.2f} m/s, {turning:+.0f} degrees/s")
+
+    def ask(self, do: str, **fields: Any) -> bool:
+        """Ask for something; a refusal is said, not raised."""
+        try:
+            answer = self.robot.ask(do, **fields)
+        except Refused as refusal:
+            self._tell(do, f"refused: {refusal}")
+            return False
+        if do != "drive":
+            self.say(answer["text"])
+            self._steps = 0  # look at once what came of it
+        return True
+
+    def _tell(self, what: str, *lines: str) -> None:
+        """Say it unless the same was said of this last."""
+        if self._told.get(what) != lines:
+            self._told[what] = lines
+            for line in lines:
+                self.say(line)
+
+
+def operate(hands: Hands, teleop: Teleop) -> None:
+    """Drive until the user quits. Raises OSError when the hands' device is gone; the robot is stopped."""
+    try:
+        while True:
+            due_s = time.monotonic() + PERIOD_S
+            while (left_s := due_s - time.monotonic()) > 0.0:
+                if select.select([hands], [], [], left_s)[0]:
+                    for asked in hands.read(time.monotonic()):
+                        if asked == "quit":
+                            return
+                        teleop.ask(asked)
+            teleop.step(hands.motion(time.monotonic()), hands.level)
+    except KeyboardInterrupt:
+        return
+    finally:
+        with contextlib.suppress(OSError, Refused):
+            teleop.robot.ask("release")
+
+
+def teleop(
+    gamepad: Annotated[
+        Path | None, typer.Option("--gamepad", help="Its device, /dev/input/js0; default: the keyboard.")
+    ] = None,
+    level: Annotated[int, typer.Option("--level", min=1, max=LEVELS, help="Speed level to begin with.")] = 1,
+    deadman: Annotated[int, typer.Option("--deadman", min=0, help="Number of the button to hold.")] = 4,
+    yaw_axis: Annotated[int, typer.Option("--yaw-axis", min=0, help="Number of the steering axis.")] = 3,
+) -> None:
+    """Drive by hand: the robot moves while a key, or the gamepad's dead-man button, is held."""
+    hands: Keyboard | GamepadDevice
+    if gamepad is None:
+        hands, text = Keyboard(level), KEYS_HELP
+    else:
+        hands = GamepadDevice(deadman=deadman, yaw_axis=yaw_axis, level=level)
+        hands.path, text = gamepad, PAD_HELP.format(deadman=deadman)
+    with connected() as robot:
+        typer.echo(text)
+        try:
+            with hands:
+                operate(hands, Teleop(robot, typer.echo))
+        except (OSError, termios.error) as error:
+            if isinstance(error, ConnectionError | TimeoutError):
+                raise
+            where = gamepad or "the terminal"
+            typer.echo(f"{where}: {error}; the robot was told to stop. Connect it and start again.", err=True)
+            raise typer.Exit(2) from None
+        finally:
+            sys.stdout.flush()
+    typer.echo("The robot stands still; whether it is armed has not changed.")
