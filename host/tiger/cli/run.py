@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from tiger.daemon.clock import Clock, Lateness
     from tiger.daemon.daemon import Daemon
     from tiger.devices.ports import PortProvider
+    from tiger.emulation.scenarios import DriveEvent
     from tiger.logs.session import LogSession
     from tiger.record import Record
 
@@ -361,7 +362,8 @@ def _run_emulated(
             return now.time_s, now.roll_deg, now.pitch_deg
 
         config = robot.model_copy(update={"ports": emulated.ports})
-        return _run_real_time(config, wishes, f"TIGER, emulated: {scenario.title}", truth, emulated.begin)
+        title = f"TIGER, emulated: {scenario.title}"
+        return _run_real_time(config, wishes, title, truth, emulated.begin, scenario.drive)
 
 
 def _run_hardware(robot: RobotConfig, wishes: Wishes) -> tuple[Journal, Lateness]:
@@ -374,10 +376,12 @@ def _run_real_time(
     title: str,
     truth: Callable[[], tuple[float, float, float]] | None,
     begin: Callable[[], None] = lambda: None,
+    plan: tuple[DriveEvent, ...] = (),
 ) -> tuple[Journal, Lateness]:
     """Run the loop in this thread.
 
-    `truth` returns (time_s, roll_deg, pitch_deg) of an emulated world, whose time runs from `begin` on.
+    `truth` returns (time_s, roll_deg, pitch_deg) of an emulated world, whose time runs from `begin` on,
+    and `plan` is how it shall drive.
     """
     from contextlib import nullcontext
 
@@ -386,6 +390,7 @@ def _run_real_time(
     from tiger.daemon.clock import MonotonicClock
     from tiger.daemon.daemon import Daemon
     from tiger.devices.ports import SerialPorts
+    from tiger.rig.planned_drive import PlannedDrive
 
     stop_asked = False
 
@@ -401,6 +406,7 @@ def _run_real_time(
     log = _Log(wishes.log_folder, robot, clock)
     daemon = Daemon(robot, log.tap(SerialPorts()), clock, nonce=int(start_s * 1e3) & 0xFFFF)
     driver, journal, printer = _Driver(daemon, wishes), Journal(), _Printer()
+    planned = PlannedDrive(plan, daemon)
     every = max(round(robot.loop.rate_hz / SERIES_HZ), 1)
     draw_every = max(round(robot.loop.rate_hz / 50.0), 1)
     with log, ScreenProcess(title) if is_terminal() else nullcontext() as screen:
@@ -414,6 +420,7 @@ def _run_real_time(
                 journal.add(record, clock.now_s() - start_s, None, record.tick % every == 0)
             else:
                 time_s, roll_deg, pitch_deg = truth()
+                planned.follow(time_s)
                 journal.add(record, time_s, (roll_deg, pitch_deg), record.tick % every == 0)
             if screen is None:
                 printer.show(record, journal.last_time_s)

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
     from tiger.config.vehicle import VehicleConfig
 
-START_TIME_S = 30.0
+START_TIME_S = 300.0
+"""The first start on a computer compiles the vehicle model."""
 
 
 class SeparateTruth(NamedTuple):
