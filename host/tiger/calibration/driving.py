@@ -8,22 +8,43 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from tiger.calibration.procedure import CalibrationError, Confirm, Measure, Turn, What
 from tiger.calibration.wheels import ARM_PATIENCE_S, Drive, DriveState, Phase, progress, solve, step
+from tiger.daemon.loop import run
 from tiger.record import Command, Mode
 
 if TYPE_CHECKING:
     from tiger.calibration.person import Person
     from tiger.calibration.procedure import Result
     from tiger.config.robot import RobotConfig
+    from tiger.daemon.clock import Clock
     from tiger.daemon.daemon import Daemon
     from tiger.record import Problem, Record
     from tiger.rig.virtual import Rig
 
 Ticks = Callable[[Callable[["Record"], bool]], None]
 """Lets the daemon tick until what it is given returns False."""
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """What is driven: a distance ahead, then full turns, + to the left."""
+
+    distance_m: float
+    turns: int
+    turn_speed_mps: float = 0.0  # 0: on the spot
+
+
+def real_ticks(daemon: Daemon, clock: Clock) -> Ticks:
+    """The ticks of the real robot."""
+
+    def ticks(on_record: Callable[[Record], bool]) -> None:
+        run(daemon, clock, on_record)
+
+    return ticks
 
 
 def virtual_ticks(rig: Rig) -> Ticks:
@@ -39,21 +60,23 @@ def virtual_ticks(rig: Rig) -> Ticks:
 
 
 def calibrate_wheels(
-    robot: RobotConfig, daemon: Daemon, ticks: Ticks, person: Person, distance_m: float, turns: int
+    robot: RobotConfig, daemon: Daemon, ticks: Ticks, person: Person, course: Course
 ) -> Result:
     """Drive a distance and some turns on the spot, let a person measure both. Raises CalibrationError."""
     if not robot.drive.enabled:
         raise CalibrationError("wheels: drive.enabled = false in the configuration; set it to true")
     radius_m = robot.vehicle.tire.rolling_radius_m * robot.drive.wheel_radius_factor
+    distance_m, turns = course.distance_m, course.turns
     ahead = Drive(radius_m, distance_m=distance_m)
-    around = Drive(radius_m, angle_rad=2.0 * math.pi * turns)
+    around = Drive(radius_m, angle_rad=2.0 * math.pi * turns, turn_speed_mps=course.turn_speed_mps)
+    place = "on a circle" if course.turn_speed_mps else "on the spot"
     side = "left" if turns > 0 else "right"
     person.confirm(Confirm("Mark where the robot stands, on firm and even ground."))
     straight = _drive(
         daemon, ticks, person, ahead, f"It will drive {distance_m:g} m ahead. Is the way clear?"
     )
     (measured_m,) = person.measure(Measure("How far did it go, in m, mark to mark?", What.DISTANCE))
-    person.confirm(Confirm("Mark its heading: it will turn on the spot, to the " + side + "."))
+    person.confirm(Confirm(f"Mark its heading: it will turn {place}, to the {side}."))
     turning = _drive(daemon, ticks, person, around, f"It will turn {abs(turns)} times. Is the way clear?")
     (beyond_deg,) = person.measure(
         Measure(

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 AXES = "xyz"
 REST_S = 10.0
 BIAS_TYPICAL_DEGPS, BIAS_MOST_DEGPS = 1.0, 3.0  # data sheet, zero-rate offset
-NOISE_MOST_RATIO = 2.0  # over the data sheet's typical noise
+NOISE_MOST_RATIO = 1.5  # over the data sheet's typical noise
 DRIFT_MOST_DEGPS = 0.05  # between the two halves of the window
 STILL_ACCEL_MPS2 = 0.15
 GRAVITY_ERROR_MOST_MPS2 = 0.1

@@ -72,11 +72,18 @@ class HeldImu:
 class EmulatedPerson:
     """Lays the emulated IMU down, turns the robot and reads the ruler; permits every motion."""
 
-    def __init__(self, rig: Rig, seed: int = 0, say: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        seed: int = 0,
+        say: Callable[[str], None] = lambda text: None,
+        look: Callable[[Turn], None] = lambda turn: None,
+    ) -> None:
         self.imu = HeldImu(rig.robot.world)
         self._rig = rig
         self._random = np.random.default_rng(seed)
         self._say = say
+        self._look = look
         self._mark = rig.robot.truth()
 
     def confirm(self, ask: Confirm) -> None:
@@ -109,4 +116,5 @@ class EmulatedPerson:
         return True
 
     def show(self, turn: Turn) -> None:
-        """Look away."""
+        """Look at the progress."""
+        self._look(turn)

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 CORNERS = ("FL", "FR", "RL", "RR")
 POSITION_S = 2.0
+MOVES_FROM = 0.12  # of the full stroke: how near the ends the robot goes by itself
 NOISE_MOST_SUMS = 64.0  # four counts of the converter, in sums of 16
 RESIDUAL_MOST_MM = 0.5
 SPREAD_LEAST = 0.5  # of the full stroke that the positions must cover
@@ -124,16 +125,26 @@ def _refuse_what_cannot_be_stored(corner: str, low: int, high: int) -> None:
         )
 
 
-def strokes_procedure(positions_mm: Sequence[float], moves: bool) -> Procedure:
+def positions_mm(full_mm: float, count: int, moves: bool) -> list[float]:
+    """Strokes to measure at, from low to high.
+
+    A person goes from end to end. The robot stays clear of the ends: with potentiometers that are not
+    calibrated yet it would press against them.
+    """
+    low, high = (MOVES_FROM, 1.0 - MOVES_FROM) if moves else (0.0, 1.0)
+    return [round(float(share) * full_mm, 1) for share in np.linspace(low, high, count)]
+
+
+def strokes_procedure(positions: Sequence[float], moves: bool) -> Procedure:
     """Walk through these strokes, from end to end; the robot goes there itself when `moves`."""
-    if len(positions_mm) < 2:
+    if len(positions) < 2:
         raise CalibrationError("strokes: a line needs two positions; ask for at least two")
     stages = []
-    for number, stroke in enumerate(positions_mm, 1):
+    for number, stroke in enumerate(positions, 1):
         by_hand = f"Bring all four actuators to about {stroke:g} mm (drives off the board, or by hand)."
         stages.append(
             Stage(
-                f"position {number} of {len(positions_mm)}, {stroke:g} mm",
+                f"position {number} of {len(positions)}, {stroke:g} mm",
                 POSITION_S,
                 unrest,
                 Move((stroke, stroke, stroke, stroke)) if moves else Confirm(by_hand),

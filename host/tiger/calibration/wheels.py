@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from tiger.record import Four, Inputs, Record
 
 SPEED_MPS = 0.3
-YAW_RATE_RADPS = math.radians(30.0)
+YAW_RATE_RADPS = math.radians(20.0)
+ROLLING_S = 4.0  # from the start of a drive to its turning, wheel check included
+YAW_RISE_S = 2.0
 STAND_S = 1.0
 STANDING_RADPS = 0.02
 ARM_PATIENCE_S = 20.0
@@ -48,17 +50,20 @@ class Phase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What to drive: a distance ahead, or an angle on the spot (+ left); the other is zero."""
+    """What to drive: a distance ahead, or an angle (+ left) on a circle; the other is zero."""
 
     radius_m: float  # of the wheels, as known before
     distance_m: float = 0.0
     angle_rad: float = 0.0
+    turn_speed_mps: float = 0.0  # 0: on the spot
 
-    @property
-    def command(self) -> Command:
-        """What drives so."""
-        yaw = math.copysign(YAW_RATE_RADPS, self.angle_rad) if self.angle_rad else 0.0
-        return Command(mode=Mode.HOLD, speed_mps=SPEED_MPS if self.distance_m else 0.0, yaw_rate_radps=yaw)
+    def command(self, elapsed_s: float) -> Command:
+        """What drives so; a turn begins when the robot rolls, and gently: tyres that roll scrub less."""
+        if not self.angle_rad:
+            return Command(mode=Mode.HOLD, speed_mps=SPEED_MPS)
+        since_s = elapsed_s - (ROLLING_S if self.turn_speed_mps else 0.0)
+        yaw_radps = math.copysign(YAW_RATE_RADPS * min(max(since_s / YAW_RISE_S, 0.0), 1.0), self.angle_rad)
+        return Command(mode=Mode.HOLD, speed_mps=self.turn_speed_mps, yaw_rate_radps=yaw_radps)
 
     @property
     def time_s(self) -> float:
@@ -100,7 +105,7 @@ def step(drive: Drive, state: DriveState, record: Record) -> tuple[DriveState, C
     state = _follow(state, inputs)
     if state.phase is Phase.GO:
         if not _arrived(drive, state):
-            return state, drive.command
+            return state, drive.command(elapsed_s)
         return replace(state, phase=Phase.STOP, since_s=now_s), neutral
     return _stop(state, inputs), neutral
 

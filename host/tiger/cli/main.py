@@ -24,6 +24,7 @@ class Entry(NamedTuple):
 COMMANDS = {
     "run": Entry("tiger.cli.run", "run", "Run the robot, or the emulated one: find, arm, level, drive."),
     "emulate": Entry("tiger.cli.emulate", "emulate", "Serve the emulated robot behind pseudo-terminals."),
+    "calibrate": Entry("tiger.cli.calibrate", "app", "Calibrate the IMU, the potentiometers and the wheels."),
     "doctor": Entry("tiger.cli.doctor", "doctor", "Find out what keeps the robot from being reached."),
     "protocol": Entry("tiger.cli.protocol", "app", "Read frames and captures of the wire as text."),
     "log": Entry("tiger.cli.log", "app", "Look into a recorded run: plot, export, replay."),
