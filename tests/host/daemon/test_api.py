@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -148,13 +148,9 @@ def test_no_bytes_break_a_session_and_what_they_mean_does_not_depend_on_their_cu
         assert found == at_once
 
 
-JSON = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
-    max_leaves=8,
-)
 NAMES = st.sampled_from(["id", "do", "mode", "speed_mps", "yaw_rate_radps", "roll_rad", "ride_stroke_mm"])
-VALUES = JSON | st.sampled_from(["drive", "arm", "pose", "mode", "level", 10**400, -(10**400), 1e308])
+WORDS = ["drive", "arm", "pose", "mode", "level", 1, 10**400, -(10**400), 1e308, [], {}, [[{}]]]
+VALUES = st.none() | st.booleans() | st.floats() | st.integers() | st.sampled_from(WORDS)
 
 
 @given(st.dictionaries(NAMES, VALUES))
@@ -169,7 +165,7 @@ def test_any_object_is_a_valid_request_of_finite_numbers_or_is_refused(fields: d
         assert all(map(math.isfinite, numbers))
 
 
-# ---------------------------------------------------------------------------------- what is done, and for whom
+# ------------------------------------------------------------------------------- what is done, and for whom
 
 
 def record(state: DaemonState = DaemonState.ARMED, tick: int = 0) -> Record:
@@ -557,10 +553,12 @@ def test_one_client_too_many_is_told_so(served: Served) -> None:
 def test_telemetry_comes_at_the_rate_asked_for(served: Served) -> None:
     with served.connect() as client:
         served.ask(client, line("subscribe", rate_hz=20.0))
-        served.ticks(200)
-        rows = [Telemetry.model_validate(row) for row in lines_of(client.recv(1 << 20))]
-        assert {b.telemetry.record.tick - a.telemetry.record.tick for a, b in zip(rows, rows[1:])} == {10}  # noqa: B905
-        assert len(rows) == 20
+        rows = []
+        for _ in range(20):
+            served.ticks(10)
+            rows += [Telemetry.model_validate(row) for row in lines_of(client.recv(65536))]
+        ticks = [row.telemetry.record.tick for row in rows]
+        assert [later - earlier for earlier, later in pairwise(ticks)] == [10] * 19
         served.ask(client, line("subscribe", rate_hz=0.0))
         served.ticks(100)
         client.settimeout(0.0)
@@ -580,7 +578,7 @@ def test_a_subscriber_that_does_not_read_loses_telemetry_and_nobody_waits(served
         rows = lines_of_slow(served, slow)
     dropped = rows[-1]["dropped"]
     assert dropped > 200
-    assert [row["dropped"] for row in rows[:-1]][0] == 0
+    assert rows[0]["dropped"] == 0
 
 
 def lines_of_slow(served: Served, client: socket.socket) -> list[dict[str, Any]]:
@@ -679,14 +677,15 @@ def test_a_program_arms_poses_drives_and_stops_the_robot(tmp_path: Path) -> None
         robot.ask("arm")
         wait_for(robot, "ARMED")
         robot.ask("mode", mode="hold")
-        moved = 0.0
-        for _ in range(1500):
+        slowest_radps = 0.0
+        for _ in range(600):
             robot.ask("drive", speed_mps=0.3)
-            estimate = robot.ask("status")["status"]["record"]["outputs"]["estimate"]
-            moved = max(moved, estimate["speed_mps"])
-            if moved > 0.25:
+            inputs = robot.ask("status")["status"]["record"]["inputs"]
+            wheels = inputs["wheels_left"]["speed_radps"] + inputs["wheels_right"]["speed_radps"]
+            slowest_radps = min(wheels)
+            if slowest_radps > 1.0:
                 break
-        assert moved > 0.25
+        assert slowest_radps > 1.0
         bystander.ask("estop")
         status = wait_for(robot, "ESTOP")
         assert status["record"]["outputs"]["wheel_rpm"] == list(STILL)
@@ -710,10 +709,10 @@ def test_nothing_that_is_refused_moves_the_robot(tmp_path: Path) -> None:
         time.sleep(0.1)
         client.close()
     assert all(r.outputs.wheel_rpm == STILL == r.outputs.stroke_rate_mmps for r in live.records)
-    assert live.rig.daemon.command == replace(Command())
+    assert live.rig.daemon.command == Command()
 
 
-# -------------------------------------------------------------------------------------------------- the client
+# ----------------------------------------------------------------------------------------------- the client
 
 
 def test_the_client_finds_the_socket_where_the_daemon_puts_it(monkeypatch: pytest.MonkeyPatch) -> None:
