@@ -185,19 +185,19 @@ def _possible(limits: dict[str, list[float]]) -> str:
 def _lines(status: dict[str, Any]) -> list[str]:
     """How the robot is, for people."""
     record = status["record"]
-    estimate, strokes = record["outputs"]["estimate"], record["inputs"]["strokes"]
-    command = record["inputs"]["command"]
-    lines = [f"{status['state']}: {status['reason']}; mode {command['mode']}"]
+    inputs, estimate = record["inputs"], record["outputs"]["estimate"]
+    strokes = inputs["strokes"]
+    lines = [f"{status['state']}: {status['reason']}; mode {inputs['command']['mode']}"]
     if estimate["ready"]:
-        roll, pitch, turning = (
-            math.degrees(estimate[name]) for name in ("roll_rad", "pitch_rad", "yaw_rate_radps")
-        )
-        speed = estimate["speed_mps"]
-        lines.append(
-            f"roll {roll:+.2f}°, pitch {pitch:+.2f}°, {speed:+.2f} m/s, turning {turning:+.1f} degrees/s"
-        )
+        roll, pitch = math.degrees(estimate["roll_rad"]), math.degrees(estimate["pitch_rad"])
+        lines.append(f"roll {roll:+.2f}°, pitch {pitch:+.2f}°")
     if strokes is not None:
         lines.append("strokes " + " ".join(f"{mm:.1f}" for mm in strokes["stroke_mm"]) + " mm (FL FR RL RR)")
+    sides = inputs["wheels_left"], inputs["wheels_right"]
+    if None not in sides:
+        left, right = (side["speed_radps"] for side in sides)
+        radps = (left[0], right[0], left[1], right[1])
+        lines.append("wheels " + " ".join(f"{w * 30.0 / math.pi:+.1f}" for w in radps) + " rpm (FL FR RL RR)")
     if status["helm"] is not None:
         lines.append(f"{status['helm']} has the helm")
     lines += [f"! {p['where']}: {p['text']}. {p['next_step']}" for p in record["problems"]]

@@ -218,7 +218,10 @@ class GamepadDevice(Gamepad):
 
     def read(self, now_s: float) -> list[str]:
         """Take the events that are there."""
-        return self.feed(os.read(self._device, 64 * EVENT.size))
+        data = os.read(self._device, 64 * EVENT.size)
+        if not data:
+            raise OSError("it is gone")
+        return self.feed(data)
 
 
 # ---- the program --------------------------------------------

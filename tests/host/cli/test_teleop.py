@@ -1,0 +1,244 @@
+"""`tiger teleop`: nothing drives unless something is held."""
+
+from __future__ import annotations
+
+import math
+import os
+import pty
+import threading
+import time
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tiger.cli.teleop import (
+    AXIS,
+    BUTTON,
+    DEAD_ZONE,
+    EVENT,
+    FIRST_HOLD_S,
+    FULL,
+    INITIAL,
+    LEVELS,
+    MOVES,
+    REPEAT_HOLD_S,
+    STILL,
+    Gamepad,
+    GamepadDevice,
+    Keyboard,
+    Keys,
+    Teleop,
+    operate,
+)
+from tiger.daemon.client import Refused, Robot
+
+# ---------------------------------------------------------------------------------------------------- keyboard
+
+
+@pytest.mark.parametrize("key", MOVES)
+def test_a_key_moves_while_the_terminal_repeats_it(key: str) -> None:
+    keys = Keys()
+    keys.press(key, 0.0)
+    assert keys.motion(0.99 * FIRST_HOLD_S) == MOVES[key]  # until the terminal begins to repeat
+    for n in range(20):
+        now_s = 0.5 + n * 0.033
+        keys.press(key, now_s)
+        assert keys.motion(now_s) == MOVES[key]
+    assert keys.motion(now_s + REPEAT_HOLD_S) == STILL
+
+
+def test_a_key_pressed_once_moves_no_longer_than_the_pause_before_repeats() -> None:
+    keys = Keys()
+    keys.press("i", 0.0)
+    assert keys.motion(FIRST_HOLD_S) == STILL
+
+
+@pytest.mark.parametrize("key", ["x", "a", " ", "3", "\x1b[H"])
+def test_any_other_key_stops(key: str) -> None:
+    keys = Keys()
+    keys.press("i", 0.0)
+    keys.press(key, 0.01)
+    assert keys.motion(0.02) == STILL
+
+
+def test_keys_ask_and_choose_the_level() -> None:
+    keys = Keys()
+    assert keys.press("ad c 4q", 0.0) == ["arm", "disarm", "estop", "clear", "estop", "quit"]
+    assert keys.level == 4
+    keys.press("0679", 0.0)
+    assert keys.level == 4
+
+
+def test_an_arrow_within_other_keys_is_one_key() -> None:
+    keys = Keys()
+    assert keys.press("2\x1b[Aa\x1b[D", 0.0) == ["arm"]
+    assert keys.motion(0.1) == MOVES["\x1b[D"]
+
+
+@given(st.lists(st.tuples(st.text(max_size=5), st.floats(0.0, 0.2)), max_size=50))
+def test_whatever_is_typed_motion_ends_after_the_last_key(typed: list[tuple[str, float]]) -> None:
+    keys, now_s = Keys(), 0.0
+    for text, pause_s in typed:
+        now_s += pause_s
+        keys.press(text, now_s)
+        assert max(map(abs, keys.motion(now_s))) <= 1.0
+        assert 1 <= keys.level <= LEVELS
+    assert keys.motion(now_s + FIRST_HOLD_S) == STILL
+
+
+# ----------------------------------------------------------------------------------------------------- gamepad
+
+
+def event(kind: int, number: int, value: int) -> bytes:
+    return EVENT.pack(0, value, kind, number)
+
+
+HOLD, LET_GO = event(BUTTON, 4, 1), event(BUTTON, 4, 0)
+FORWARD = event(AXIS, 1, -32767)
+
+
+def test_a_stick_moves_only_while_the_dead_man_button_is_held() -> None:
+    pad = Gamepad()
+    pad.feed(FORWARD)
+    assert pad.motion(0.0) == STILL
+    pad.feed(HOLD)
+    assert pad.motion(0.0) == (1.0, 0.0)
+    pad.feed(LET_GO)
+    assert pad.motion(0.0) == STILL
+
+
+def test_a_button_held_when_the_gamepad_is_opened_is_nobodys_wish() -> None:
+    pad = Gamepad()
+    pad.feed(event(BUTTON | INITIAL, 4, 1) + FORWARD)
+    assert pad.motion(0.0) == STILL
+
+
+def test_a_release_among_lost_events_is_noticed() -> None:
+    """After its queue ran over, the kernel tells the state of everything again, marked as initial."""
+    pad = Gamepad()
+    pad.feed(HOLD + FORWARD + event(BUTTON | INITIAL, 0, 0))
+    assert pad.motion(0.0) == (1.0, 0.0)
+    pad.feed(event(BUTTON | INITIAL, 4, 0))
+    assert pad.motion(0.0) == STILL
+
+
+def test_left_on_the_stick_turns_left_and_small_deflections_do_nothing() -> None:
+    pad = Gamepad()
+    pad.feed(HOLD + event(AXIS, 3, -32767) + event(AXIS, 1, int(0.9 * DEAD_ZONE * FULL)))
+    assert pad.motion(0.0) == (0.0, 1.0)
+
+
+def test_buttons_ask_when_pressed_and_the_pad_steps_the_level() -> None:
+    pad = Gamepad()
+    pressed = b"".join(event(BUTTON, n, 1) + event(BUTTON, n, 0) for n in (7, 6, 1, 0))
+    assert pad.feed(pressed) == ["arm", "disarm", "estop"]
+    up = event(AXIS, 7, -32767) + event(AXIS, 7, 0)
+    pad.feed(up * 9)
+    assert pad.level == LEVELS
+    pad.feed(event(AXIS, 7, 32767))
+    assert pad.level == LEVELS - 1
+
+
+@given(st.lists(st.binary(max_size=30), max_size=30))
+def test_no_bytes_break_the_gamepad_and_their_cutting_does_not_matter(chunks: list[bytes]) -> None:
+    pad, whole = Gamepad(), Gamepad()
+    asked = [what for chunk in chunks for what in pad.feed(chunk)]
+    assert asked == whole.feed(b"".join(chunks))
+    assert pad == whole
+    assert all(math.isfinite(part) and abs(part) <= 1.0 for part in pad.motion(0.0))
+
+
+# -------------------------------------------------------------------------------------------------- the program
+
+
+class FakeRobot:
+    """Answers like a daemon in some state."""
+
+    def __init__(self, state: str = "ARMED") -> None:
+        self.state = state
+        self.asked: list[tuple[str, dict[str, float]]] = []
+
+    def ask(self, do: str, **fields: float) -> dict[str, Any]:
+        self.asked.append((do, fields))
+        if do == "drive" and self.state != "ARMED":
+            raise Refused("no")
+        status = {"state": self.state, "reason": "", "record": {"problems": []}}
+        limits = {"speed_mps": (-3.0, 3.0), "yaw_rate_radps": (-1.5, 1.5)}
+        return {"text": "", "status": status, "limits": limits}
+
+
+@pytest.mark.parametrize("level", range(1, LEVELS + 1))
+def test_each_level_is_a_fifth_of_what_the_config_allows(level: int) -> None:
+    robot = FakeRobot()
+    Teleop(robot, lambda _: None).step((1.0, -0.5), level)  # type: ignore[arg-type]
+    assert robot.asked[-1][0] == "drive"
+    assert robot.asked[-1][1]["speed_mps"] == pytest.approx(0.6 * level)
+    assert robot.asked[-1][1]["yaw_rate_radps"] == pytest.approx(-0.15 * level)
+
+
+@pytest.mark.parametrize("state", ["DISARMED", "FAULT", "ESTOP", "HANDSHAKE"])
+def test_it_tells_a_robot_that_is_not_armed_nothing(state: str) -> None:
+    robot = FakeRobot(state)
+    teleop = Teleop(robot, lambda _: None)  # type: ignore[arg-type]
+    for _ in range(10):
+        teleop.step((1.0, 0.0), 5)
+    assert {do for do, _ in robot.asked} == {"status"}
+
+
+def test_it_says_what_it_does_once() -> None:
+    said: list[str] = []
+    teleop = Teleop(FakeRobot(), said.append)  # type: ignore[arg-type]
+    for motion in [(1.0, 0.0)] * 5 + [STILL] * 5:
+        teleop.step(motion, 1)
+    assert said == ["ARMED: ", "level 1: +0.60 m/s, +0 degrees/s", "level 1: +0.00 m/s, +0 degrees/s"]
+
+
+def test_a_lost_gamepad_stops_the_robot() -> None:
+    reading, writing = os.pipe()
+    os.write(writing, HOLD + FORWARD)
+    os.close(writing)
+    pad = GamepadDevice()
+    pad._device = reading
+    robot = FakeRobot()
+    with pytest.raises(OSError, match="gone"):
+        operate(pad, Teleop(robot, lambda _: None))  # type: ignore[arg-type]
+    assert robot.asked[-1][0] == "release"
+    os.close(reading)
+
+
+def test_a_person_at_a_terminal_arms_drives_and_lets_go(running: Any) -> None:
+    """Real bytes through a pseudo-terminal and the real socket to the daemon on the emulated robot."""
+    ours, theirs = pty.openpty()
+    speeds: list[float] = []
+
+    def type_keys() -> None:
+        os.write(ours, b"a")
+        _until(lambda: running.rig.daemon.state.name == "ARMED")
+        for _ in range(20):
+            os.write(ours, b"i")
+            time.sleep(0.05)
+            speeds.append(running.rig.daemon.command.speed_mps)
+        time.sleep(REPEAT_HOLD_S + 0.2)
+        speeds.append(running.rig.daemon.command.speed_mps)
+        os.write(ours, b"q")
+
+    person = threading.Thread(target=type_keys)
+    keyboard = Keyboard(level=2)
+    keyboard.path = os.ttyname(theirs)
+    with Robot() as robot, keyboard:
+        person.start()
+        operate(keyboard, Teleop(robot, lambda _: None))
+        person.join()
+    for descriptor in (ours, theirs):
+        os.close(descriptor)
+    assert max(speeds) == pytest.approx(1.2)
+    assert speeds[-1] == 0.0
+    assert running.api.desk.helm is None
+
+
+def _until(arrived: Any) -> None:
+    end_s = time.monotonic() + 10.0
+    while not arrived() and time.monotonic() < end_s:
+        time.sleep(0.01)
