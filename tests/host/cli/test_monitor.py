@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +21,10 @@ APP.command()(monitor)
 
 
 def drawn(content: Any) -> str:
-    console = Console(width=120, record=True, quiet=True)
-    console.print(content)
-    return console.export_text()
+    console = Console(width=120, file=io.StringIO())
+    with console.capture() as capture:
+        console.print(content)
+    return capture.get()
 
 
 def test_once_prints_one_page(running: Any) -> None:
@@ -65,4 +68,4 @@ def test_it_draws_telemetry_at_five_a_second_at_most(running: Any, monkeypatch: 
 
     monkeypatch.setattr(monitor_module, "page", keep)
     CliRunner().invoke(APP, [])
-    assert {later - earlier for earlier, later in zip(ticks, ticks[1:], strict=False)} == {40}
+    assert {later - earlier for earlier, later in pairwise(ticks)} == {40}

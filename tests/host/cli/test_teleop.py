@@ -34,7 +34,7 @@ from tiger.cli.teleop import (
 )
 from tiger.daemon.client import Refused, Robot
 
-# ---------------------------------------------------------------------------------------------------- keyboard
+# ----------------------------------------------------------------------------------------- keyboard
 
 
 @pytest.mark.parametrize("key", MOVES)
@@ -88,7 +88,7 @@ def test_whatever_is_typed_motion_ends_after_the_last_key(typed: list[tuple[str,
     assert keys.motion(now_s + FIRST_HOLD_S) == STILL
 
 
-# ----------------------------------------------------------------------------------------------------- gamepad
+# ------------------------------------------------------------------------------------------ gamepad
 
 
 def event(kind: int, number: int, value: int) -> bytes:
@@ -150,7 +150,7 @@ def test_no_bytes_break_the_gamepad_and_their_cutting_does_not_matter(chunks: li
     assert all(math.isfinite(part) and abs(part) <= 1.0 for part in pad.motion(0.0))
 
 
-# -------------------------------------------------------------------------------------------------- the program
+# -------------------------------------------------------------------------------------- the program
 
 
 class FakeRobot:

@@ -22,6 +22,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tiger.config.robot import RobotConfig, load_robot
+from tiger.control.reachable import Suspension
 from tiger.daemon import api as api_module
 from tiger.daemon.api import (
     DRIVE_LIFE_S,
@@ -170,6 +171,15 @@ def test_any_object_is_a_valid_request_of_finite_numbers_or_is_refused(fields: d
 
 def record(state: DaemonState = DaemonState.ARMED, tick: int = 0) -> Record:
     return Record(tick, state, "because", Inputs(0.0, state is DaemonState.ARMED), Outputs())
+
+
+@pytest.fixture(autouse=True, scope="module")
+def mechanism_solved_once() -> Iterator[None]:
+    """Solving the mechanism takes a tenth of a second, and all robots here have the same."""
+    suspension = Suspension.from_config(ROBOT)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Suspension, "from_config", lambda robot: suspension)
+        yield
 
 
 class Asked:
