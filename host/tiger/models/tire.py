@@ -62,6 +62,10 @@ def tire_record(tire_set: TireSetConfig, tire: TireConfig) -> Record:
 # ---- compiled: t is a row of TIRE ------------
 
 
+LEAST_LOAD_N = 1e-6
+"""A tyre that carries less has lifted: below, stiffnesses are too small to divide by."""
+
+
 @jit
 def load_deviation(t: Row, load: float) -> float:
     """df_z of eq. 4.E2, held where the coefficients stop being meaningful."""
@@ -131,7 +135,7 @@ def contact_forces(
     tan_alpha: float,
 ) -> tuple[float, float]:
     """(F_x, F_y) in N of the lagged slips, plus tread damping that fades with speed (ch. 8.6)."""
-    if load <= 0.0:
+    if load < LEAST_LOAD_N:
         return 0.0, 0.0
     if abs(forward_speed) < t.damping_speed:
         damping = 0.5 * t.damping * (1.0 + cos(pi * forward_speed / t.damping_speed))
