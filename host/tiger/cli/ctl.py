@@ -65,6 +65,7 @@ def _arrive(do: str, states: tuple[str, ...], seconds: float, as_json: bool) -> 
     """Ask for a change of state and wait for it, or for the reason why it does not come."""
     with connected() as robot:
         robot.ask(do)
+        robot.ask("release")  # from here on it only looks
         end_s = time.monotonic() + seconds
         while True:
             time.sleep(REPEAT_S)  # the daemon gathers its problems twenty times a second

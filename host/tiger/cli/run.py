@@ -297,6 +297,32 @@ class _Log:
             self._session.record(record, daemon.control_state)
 
 
+class _Socket:
+    """The socket for other programs, or nothing where it cannot be had: the robot runs without it."""
+
+    def __init__(self, robot: RobotConfig, wishes: Wishes) -> None:
+        from tiger.daemon.api import Api, ApiError
+
+        self._api: Api | None = None
+        try:
+            self._api = Api(robot)
+        except ApiError as error:
+            typer.echo(f"note: no commands from other programs: {error}", err=True)
+            return
+        if wishes.speed_mps or wishes.yaw_rate_radps:
+            self._api.desk.reserve("tiger run --speed")
+
+    def poll(self, daemon: Daemon, record: Record, now_s: float) -> None:
+        """Serve it after a tick; never waits."""
+        if self._api is not None:
+            self._api.poll(daemon, record, now_s)
+
+    def close(self, daemon: Daemon) -> None:
+        """Hang up on everyone."""
+        if self._api is not None:
+            self._api.close(daemon)
+
+
 class _Printer:
     """For output that is no terminal: a line whenever something changes."""
 
@@ -407,6 +433,7 @@ def _run_real_time(
     daemon = Daemon(robot, log.tap(SerialPorts()), clock, nonce=int(start_s * 1e3) & 0xFFFF)
     driver, journal, printer = _Driver(daemon, wishes), Journal(), _Printer()
     planned = PlannedDrive(plan, daemon)
+    programs = _Socket(robot, wishes)
     every = max(round(robot.loop.rate_hz / SERIES_HZ), 1)
     draw_every = max(round(robot.loop.rate_hz / 50.0), 1)
     with log, ScreenProcess(title) if is_terminal() else nullcontext() as screen:
@@ -416,6 +443,7 @@ def _run_real_time(
         def on_record(record: Record) -> bool:
             driver.after(record)
             log.record(record, daemon)
+            programs.poll(daemon, record, clock.now_s())
             if truth is None:
                 journal.add(record, clock.now_s() - start_s, None, record.tick % every == 0)
             else:
@@ -432,6 +460,7 @@ def _run_real_time(
         try:
             lateness = loop.run(daemon, clock, on_record, wishes.duration_s)
         finally:
+            programs.close(daemon)
             daemon.close()
     sys.stdout.flush()
     return journal, lateness
