@@ -97,17 +97,22 @@ def step(drive: Drive, state: DriveState, record: Record) -> tuple[DriveState, C
     if state.phase is Phase.END:
         return state, neutral
     if record.state is not DaemonState.ARMED:
-        raise CalibrationError(f"wheels: stopped while {state.phase.value} ({record.reason})")
+        raise CalibrationError(_hint(drive, f"wheels: stopped while {state.phase.value} ({record.reason})"))
     if elapsed_s > PATIENCE_RATIO * drive.time_s + 10.0:
-        raise CalibrationError(
-            f"wheels: {state.phase.value} for {elapsed_s:.0f} s; look for what holds the robot"
-        )
+        raise CalibrationError(_hint(drive, f"wheels: {state.phase.value} for {elapsed_s:.0f} s"))
     state = _follow(state, inputs)
     if state.phase is Phase.GO:
         if not _arrived(drive, state):
             return state, drive.command(elapsed_s)
         return replace(state, phase=Phase.STOP, since_s=now_s), neutral
     return _stop(state, inputs), neutral
+
+
+def _hint(drive: Drive, text: str) -> str:
+    step = "look for what holds the robot"
+    if drive.angle_rad:
+        step += "; on ground with much grip it cannot turn on the spot: take a smooth floor"
+    return f"{text}; {step}"
 
 
 def progress(drive: Drive, state: DriveState) -> float:
