@@ -2,7 +2,8 @@
 
     with Robot() as robot:
         robot.ask("arm")
-        for _ in range(20):                          # a drive command lives for half a second: repeat it
+        robot.wait_for("ARMED")
+        for _ in range(20):  # a drive command lives for half a second: repeat it
             robot.ask("drive", speed_mps=0.3, yaw_rate_radps=0.0)
             time.sleep(0.1)
         robot.ask("release")
@@ -15,6 +16,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import time
 from collections import deque
 from pathlib import Path
 from typing import Any, Self
@@ -58,6 +60,14 @@ class Robot:
         if not line["ok"]:
             raise Refused(f"{line['reason']}. {line['next_step']}")
         return line
+
+    def wait_for(self, state: str, seconds: float = 5.0) -> None:
+        """Wait until the robot is in a state. Raises TimeoutError, which tells the state it is in instead."""
+        end_s = time.monotonic() + seconds
+        while (status := self.ask("status")["status"])["state"] != state:
+            if time.monotonic() > end_s:
+                raise TimeoutError(f"the robot is in {status['state']}: {status['reason']}")
+            time.sleep(0.02)
 
     def telemetry(self) -> dict[str, Any]:
         """Wait for the next telemetry; `ask("subscribe", rate_hz=10)` first."""

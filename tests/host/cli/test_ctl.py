@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import sys
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from tiger.cli.ctl import app
+from tiger.daemon import client
 from tiger.daemon.client import Robot
 from tiger.record import Mode
 
@@ -111,3 +114,13 @@ def test_estop_stops_whoever_drives_and_arm_is_refused_until_clear(disarmed: Any
     cleared = ctl("clear", "--json")
     assert cleared.exit_code == 0
     assert json.loads(cleared.output)["state"] == "DISARMED"
+
+
+def test_the_example_of_the_page_drives_the_robot(disarmed: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (Path(__file__).parents[3] / "docs" / "api.md").read_text()
+    example = text[text.index("    import time\n") :].partition("\n## ")[0]
+    monkeypatch.setitem(sys.modules, "client", client)
+    disarmed.fastest_radps = 0.0
+    exec(textwrap.dedent(example))
+    assert disarmed.fastest_radps > 1.0
+    assert disarmed.rig.daemon.command.speed_mps == 0.0

@@ -744,3 +744,8 @@ def test_the_client_needs_nothing_but_the_standard_library() -> None:
         "sys.exit(str(names - sys.stdlib_module_names) if names - sys.stdlib_module_names else 0)"
     )
     subprocess.run([sys.executable, "-c", script], check=True)
+
+
+def test_the_page_and_the_schema_are_those_of_the_models() -> None:
+    script = Path(__file__).parents[3] / "scripts" / "render_api.py"
+    subprocess.run([sys.executable, str(script), "--check"], check=True)
