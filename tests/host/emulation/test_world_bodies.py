@@ -173,6 +173,19 @@ def test_faster_right_wheels_turn_the_robot_to_the_left() -> None:
     assert truth.position_m[1] > 0.05
 
 
+def test_imu_feels_the_pull_of_a_turn() -> None:
+    body = make_body(TIGER, scenario(friction=0.4), (0.0, 0.0), [0.0] * 4)
+    body.prepare(MS)
+    felt, expected = [], []
+    for tick in range(6000):
+        body.advance((0.0, 0.0), [0.0] * 4, (40.0, 90.0, 40.0, 90.0))
+        if tick > 3000:
+            felt.append(body.accel_mps2[1] - GRAVITY_MPS2 * sin(body.attitude_rad[0]))
+            expected.append(body.motion().speed_mps * body.rate_radps[2])
+    assert np.mean(expected) > 0.05
+    assert np.mean(felt) == pytest.approx(np.mean(expected), rel=0.05)
+
+
 def test_a_coasting_robot_slows_by_its_rolling_resistance_and_stops() -> None:
     body = make_body(TIGER, scenario(start={"speed_mps": 1.0}), (0.0, 0.0), [0.0] * 4)
     body.prepare(MS)
