@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 CANDIDATES = (8, 10, 12, 14, 16)
-START_POLES = (18, 20, 22, 16)
-BRIEF = 6
+START_POLES = (18, 20, 16)
+BRIEF = 8
 RIGHT_COST = 1.15
 """Squared weighted residual per response of a model that explains everything but the noise; it is 1 on
 average."""
@@ -89,17 +89,13 @@ def _choose(
     best: tuple[float, Fit] | None = None
     system = full
     for order in orders:
-        # Two starts, for either may end in a valley of its own: the fit above, and vector fitting itself.
-        starts = [_truncate(data, full, order)[0]]
-        if best is not None:
-            starts.append(_truncate(data, system, order)[0])
-        # Where a smaller order falls far behind, a few iterations show it.
-        first = min(
-            (refine(data, *modal_blocks(start), min(iterations, BRIEF)) for start in starts),
-            key=lambda f: f.cost,
-        )
-        hopeless = best is not None and first.cost > 2 * best[1].cost
-        fit = first if hopeless else refine(data, first.blocks, first.b, first.c, first.d, iterations)
+        # A second start where the first ends in a valley of its own: from the fit above, then from vector
+        # fitting.
+        starts = [full] if best is None else [system, full]
+        fit = refine(data, *modal_blocks(_truncate(data, starts[0], order)[0]), BRIEF)
+        if best is not None and fit.cost > RIGHT_COST * samples / 2:
+            other = refine(data, *modal_blocks(_truncate(data, starts[1], order)[0]), BRIEF)
+            fit = min(fit, other, key=lambda f: f.cost)
         system = from_blocks(fit.blocks), fit.b, fit.c, fit.d
         parameters = order * (outputs + inputs) + outputs * inputs
         # Twice the negative log-likelihood: real and imaginary part each have half the variance.
@@ -109,7 +105,9 @@ def _choose(
         elif criterion > best[0] + 10 * samples**0.5:
             break  # far worse: what is still smaller can only be worse again
     assert best is not None
-    return *best, _truncate(data, full, orders[0])[1]
+    fit = best[1]
+    polished = refine(data, fit.blocks, fit.b, fit.c, fit.d, iterations)
+    return best[0], polished, _truncate(data, full, orders[0])[1]
 
 
 def refine(data: FrfData, blocks: Array, b: Array, c: Array, d: Array, iterations: int) -> Fit:
