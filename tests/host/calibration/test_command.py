@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 import pytest
 from typer.testing import CliRunner, Result
 
+from tiger.calibration import station
 from tiger.cli.main import app
+from tiger.daemon import discovery
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -75,7 +77,9 @@ def test_what_cannot_be_is_refused_in_words(tiger, words, reason) -> None:
     assert "Traceback" not in result.output
 
 
-def test_without_a_robot_it_says_what_to_connect(tiger, tmp_path) -> None:
+def test_without_a_robot_it_says_what_to_connect(tiger, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(discovery, "GRACE_S", 0.1)
+    monkeypatch.setattr(station, "CONNECT_PATIENCE_S", 0.3)
     config = tmp_path / "robot.toml"
     config.write_text('[ports]\nboards = ["/nowhere/board-*"]\n')
     result = tiger("calibrate", "imu", "--config", str(config))
