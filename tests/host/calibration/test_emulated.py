@@ -104,6 +104,18 @@ def test_turned_round_the_slope_of_the_ground_does_not_matter(
     assert slope.value == pytest.approx(abs(slope_deg), abs=0.15)
 
 
+def test_a_body_that_leans_is_evened_first_or_refused(bench_on: Callable[[Scenario], Bench]) -> None:
+    strokes_mm = (32.0, 35.0, 35.0, 38.0)
+    bench = bench_on(Scenario(title="leans", duration_s=99.0, initial_stroke_mm=strokes_mm))
+    with pytest.raises(CalibrationError, match=r"strokes are .* mm apart"):
+        bench.calibrate(level_procedure(rest_s=1.0))
+    bench.calibrate(level_procedure(even_mm=35.0, rest_s=2.0))
+    assert np.ptp(bench.rig.robot.truth().stroke_mm) < 0.3
+    mounting = parameters.read(bench.station, NANO)["mounting_quaternion"]
+    tilt = Rotation.from_quat(mounting, scalar_first=True).magnitude()
+    assert math.degrees(tilt) < 0.2
+
+
 def test_other_potentiometers_are_found_by_moving_and_measuring(bench: Bench, tmp_path: Path) -> None:
     pots = Potentiometer(70.0, volts_at_zero_stroke=0.4, volts_at_full_stroke=4.5)
     bench.rig.robot._exact_counts = pots.exact_counts
