@@ -1,6 +1,6 @@
 """Find the weights of the chapter 6 ride controllers: CMA-ES over logarithms, one goal per design.
 
-    python bench/tune_ride.py NAME [--minutes 3] [--start '{"parameters": [...]}']
+    python scripts/tune_ride.py NAME [--minutes 3] [--start '{"parameters": [...]}']
 
 Prints the best parameters after every improvement; the winners are copied into
 `tiger/control/ride_designs.py`. Training seeds are 1000 and up, so that the studies (seeds 0 and up) judge on
