@@ -45,16 +45,18 @@ def test_without_a_daemon_it_waits_and_without_patience_it_says_so(
 ) -> None:
     monkeypatch.setenv("TIGER_SOCKET", str(tmp_path / "none.sock"))
     assert CliRunner().invoke(APP, ["--once"]).exit_code == 2
-    waits = []
+    tries = []
 
-    def interrupt(seconds: float) -> None:
-        waits.append(seconds)
-        if len(waits) == 3:
+    def robot() -> Robot:
+        tries.append(1)
+        if len(tries) == 3:
             raise KeyboardInterrupt
+        return Robot()
 
-    monkeypatch.setattr(monitor_module.time, "sleep", interrupt)
+    monkeypatch.setattr(monitor_module, "RETRY_S", 0.0)
+    monkeypatch.setattr(monitor_module, "Robot", robot)
     assert CliRunner().invoke(APP, []).exit_code == 0
-    assert len(waits) == 3
+    assert len(tries) == 3
 
 
 def test_it_draws_telemetry_at_five_a_second_at_most(running: Any, monkeypatch: pytest.MonkeyPatch) -> None:
