@@ -6,8 +6,13 @@ grammar, and what does not come within the deadline is asked again. (Advanced Di
 Manual v1.8.)
 
 The trap this driver must defuse: when the controller's watchdog has stopped the motors, the next valid
-command makes BOTH run on at the speed they had. So after any gap the first commands are zeros for both
-motors, in one write, and no other speed is sent until those are confirmed and `release` was called again.
+command makes BOTH run on at the speed they had. So the first command after any gap is `!M 0 0`, a zero for
+both motors in one line that arrives whole or not at all, and no other speed is sent until zeros are confirmed
+and `release` was called again.
+
+The line has no checksum. So every query is asked twice in one write and a reading is used when both answers
+agree; a speed that jumps waits for the next reading to confirm it. A command that is echoed as another one is
+answered by `!M 0 0` at once, a second one within a second by holding the motors until the next `release`.
 """
 
 from __future__ import annotations
@@ -27,8 +32,11 @@ NO_ANSWER_AFTER_S = 1.0
 RETRY_S = 0.1  # pause between attempts to configure
 RPM_LIMIT = 65_000  # of !S
 GAP_SHARE = 0.8  # of the watchdog's time without a confirmed command counts as a gap
-FAULTS_IN_A_ROW = 2  # readings of a flag before it is believed: the line has no checksum
-SPEED_JUMP_RPM = 150  # a speed that jumps further between two readings is believed when the next one agrees
+SPEED_JUMP_RPM = 60  # a speed that jumps further between two readings is believed when the next one agrees
+CHANGED_AGAIN_S = 1.0  # two commands changed on the way within this time: stop for good
+STOP_BOTH = "!M 0 0"
+STALE_LINES = 8  # of abandoned exchanges, remembered for as long as their answers may come
+RESYNC = "?\r"  # makes of half a line in the controller's buffer one that it refuses
 
 
 class FaultFlag(IntFlag):
@@ -54,6 +62,7 @@ class StatusFlag(IntFlag):
     STALL = 16
     AT_LIMIT = 32
     SCRIPT_RUNNING = 128
+    TUNING = 256  # later firmware
 
 
 class MotorFlag(IntFlag):
@@ -100,42 +109,49 @@ class Phase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class _Query:
-    """A query and what a right answer to it looks like."""
+    """A query and what a right answer to it looks like, in the controller's units."""
 
     name: str
     counts: tuple[int, ...]  # how many values it may have
     low: int
     high: int
+    within: tuple[int, ...] = (0, 0, 0, 0)  # how far two answers a millisecond apart may differ
 
 
-_SPEED = _Query("S", (2,), -RPM_LIMIT, RPM_LIMIT)
 _QUERIES = {
     query.name: query
     for query in (
-        _SPEED,
-        _Query("A", (2,), -5000, 5000),
-        _Query("BA", (2,), -5000, 5000),
-        _Query("V", (3,), 0, 10_000),
+        _Query("S", (2,), -RPM_LIMIT, RPM_LIMIT, within=(10, 10)),
+        _Query("A", (2,), -5000, 5000, within=(50, 50)),
+        _Query("BA", (2,), -5000, 5000, within=(50, 50)),
+        _Query("V", (3,), 0, 10_000, within=(5, 5, 50)),
         _Query("FF", (1,), 0, 0xFFFF),
         _Query("FS", (1,), 0, 0xFFFF),
         _Query("FM", (2,), 0, 0xFFFF),
-        _Query("T", (2, 3, 4), -60, 200),
+        _Query("T", (2, 3, 4), -60, 200, within=(1, 1, 1, 1)),
         _Query("RWD", (1,), 0, 65_000),
     )
 }
 # One of these follows the speeds in each cycle; the fault flags come every other time.
 _SLOW_QUERIES = ("FF", "A", "FF", "BA", "FF", "V", "FF", "FS", "FF", "FM", "FF", "T")
-_ANSWER = re.compile(rb"([A-Z]{1,4})=(-?[0-9]{1,5}(?::-?[0-9]{1,5}){0,3})")
-_COMMAND_START = b"!?^~"
+_NUMBER = rb"(?:0|-?[1-9][0-9]{0,4})"  # as the controller writes it: no leading zero, no minus zero
+_ANSWER = re.compile(rb"([A-Z]{1,4})=(%b(?::%b){0,3})" % (_NUMBER, _NUMBER))
+_SETTING = (b"!", b"^")
+_COMMAND_START = (*_SETTING, b"?", b"~")
 
 
 class _Exchange:
     """Lines sent, and for each its echo and its answer expected back."""
 
-    def __init__(self, lines: list[str], sent_s: float, echo_may_be_off: bool = False) -> None:
+    def __init__(
+        self, lines: list[str], sent_s: float, stale: frozenset[bytes], echo_may_be_off: bool = False
+    ) -> None:
+        """`stale` are lines of abandoned exchanges whose echoes and answers may still come before ours."""
         self.lines = lines
+        self.sent_s = sent_s
         self.deadline_s = sent_s + DEADLINE_S
-        self.echo_may_be_off = echo_may_be_off
+        self._stale = stale
+        self._echo_may_be_off = echo_may_be_off
         self._place = 0
         self._echoed = False
         self.answers: list[tuple[int, ...]] = []
@@ -149,32 +165,33 @@ class _Exchange:
     def hear(self, line: bytes) -> bool:
         """Take one line; returns whether it belonged here."""
         sent = self.lines[self._place].encode("ascii")
-        if not self._echoed:
-            if line == sent:
-                self._echoed = True
-                return True
-            if not (self.echo_may_be_off and line in (b"+", b"-")):
-                # Perhaps our command arrived as another one: fail now, so that the right one follows at once.
-                self.wrong_echo = line[:1] in _COMMAND_START and len(line) > 0
-                self.failed = self.wrong_echo
-                return False
-        return self._answer(sent, line)
+        if self._echoed:
+            return self._answer(sent, line)
+        if line == sent:
+            self._echoed = True
+            return True
+        if self._echo_may_be_off:
+            # Half a line from before may be answered first; only a "+" can be ours.
+            return line == b"+" and self._answer(sent, line)
+        # Perhaps our command arrived as another one; and an answer without its echo confirms nothing.
+        self.wrong_echo = line[:1] in _COMMAND_START and line not in self._stale
+        self.failed = self.wrong_echo or (line in (b"+", b"-") and not self._stale)
+        return False
 
     def _answer(self, sent: bytes, line: bytes) -> bool:
-        if sent[:1] in b"!^":
-            self.failed = line == b"-"
-            if line not in (b"+", b"-"):
-                return False
+        if sent[:1] in _SETTING:
+            right = line == b"+"
+            self.failed = line == b"-" or line[:1] in _COMMAND_START
         else:
             values = _values(sent[1:].decode("ascii"), line)
-            if values is None:
-                self.failed = True
-                return False
-            self.answers.append(values)
-        if not self.failed:
+            right = values is not None
+            self.failed = not right
+            if values is not None:
+                self.answers.append(values)
+        if right:
             self._place += 1
             self._echoed = False
-        return True
+        return right
 
 
 def _values(name: str, line: bytes) -> tuple[int, ...] | None:
@@ -186,6 +203,27 @@ def _values(name: str, line: bytes) -> tuple[int, ...] | None:
     values = tuple(int(value) for value in match[2].split(b":"))
     plausible = len(values) in query.counts and all(query.low <= value <= query.high for value in values)
     return values if plausible else None
+
+
+def _agreed(
+    name: str, answers: list[tuple[int, ...]], last: tuple[int, ...] | None
+) -> tuple[int, ...] | None:
+    """One reading from the answers to a query asked twice, or None when they contradict each other.
+
+    Of two values that differ within the permitted range, the one nearer to the `last` reading: it is more
+    often the undamaged one.
+    """
+    first, second = answers
+    if len(first) != len(second):
+        return None
+    within = _QUERIES[name].within[: len(first)]
+    if any(abs(a - b) > most for a, b, most in zip(first, second, within, strict=True)):
+        return None
+    if last is None or len(last) != len(second):
+        return second
+    return tuple(
+        a if abs(a - old) < abs(b - old) else b for a, b, old in zip(first, second, last, strict=True)
+    )
 
 
 class Roboteq:
@@ -203,6 +241,9 @@ class Roboteq:
         self.wrong_echoes = 0
         self.garbled = 0  # lines that belonged to nothing
         self.gaps = 0  # times that a released drive lost its commands
+        self.contradictions = 0  # readings dropped because the two answers differed
+        self.changed_commands = 0  # speeds echoed as other ones, answered by a stop
+        self._emergency = False  # asked for and not taken back; outlives a lost connection
         self.connected(-math.inf)
 
     def connected(self, now_s: float) -> None:
@@ -213,6 +254,8 @@ class Roboteq:
         self.flags: dict[str, int] = {"FF": 0, "FS": 0, "FM1": 0, "FM2": 0}
         self._opened_s = now_s
         self._exchange: _Exchange | None = None
+        self._stale: deque[bytes] = deque(maxlen=STALE_LINES)
+        self._stale_until_s = -math.inf
         self._partial = b""
         self._step = 0
         self._retry_s = now_s
@@ -223,11 +266,11 @@ class Roboteq:
         self._motor_due_s = now_s
         self._queries: deque[str] = deque()
         self._slow = 0
-        self._values: dict[str, tuple[int, ...]] = {}
-        self._seen: dict[str, tuple[int, int]] = {}  # last reading of a flag word, and how often in a row
-        self._last_speeds: tuple[int, ...] | None = None
-        self._stop = False
+        self.readings: dict[str, tuple[int, ...]] = {}  # last one of each query, in the controller's units
+        self._stop = self._emergency
         self._go = False
+        self._quench = False  # both motors must be stopped before anything else is said
+        self._changed_s = -math.inf
 
     # ------------------------------------------------------------------------------------------- what to do
 
@@ -263,13 +306,14 @@ class Roboteq:
 
     def emergency_stop(self) -> None:
         """Switch the power stage off (`!EX`) until `clear_stop`."""
-        self._stop, self._go = True, False
+        self._emergency = self._stop = True
+        self._go = False
         self._wanted_rpm = (0, 0)
-        self._exchange = None
+        self._abandon()
 
     def clear_stop(self) -> None:
         """Take the emergency stop back (`!MG`) once zeros are confirmed; the motors stay at zero."""
-        self._stop = False
+        self._emergency = self._stop = False
         self._go = True
         if self.phase is Phase.STOPPED:
             self.phase = Phase.ZEROING
@@ -292,6 +336,8 @@ class Roboteq:
             return
         if exchange.failed:
             self.wrong_echoes += exchange.wrong_echo
+            if exchange.wrong_echo and exchange.lines[0].startswith("!S"):
+                self._changed(now_s)
             self._failed(now_s)
         elif exchange.done:
             self._exchange = None
@@ -307,12 +353,25 @@ class Roboteq:
             self.phase, self._stop = Phase.STOPPED, False
         elif first == "!MG":
             self._go = False
+        elif first == STOP_BOTH:
+            self._quench = False
+            self._confirmed_s = exchange.sent_s
+            self._motor_due_s = now_s
         elif first.startswith("!S"):
-            self._confirmed_s = now_s
+            # The moment of sending, as the controller's watchdog may run from then on.
+            self._confirmed_s = exchange.sent_s
             if self.phase is Phase.ZEROING and self._sent_rpm == (0, 0):
                 self.phase = Phase.HOLDING
         else:
-            self._answered(first[1:], exchange.answers[0], now_s)
+            self._answered(first[1:], exchange.answers, now_s)
+
+    def _changed(self, now_s: float) -> None:
+        """A command may have arrived as another one: stop both motors now; if that repeats, for good."""
+        self.changed_commands += 1
+        self._quench = True
+        if now_s - self._changed_s < CHANGED_AGAIN_S:
+            self.hold()
+        self._changed_s = now_s
 
     def _configured(self, line: str, exchange: _Exchange, now_s: float) -> None:
         if line == "~RWD" and exchange.answers[0] != (self.watchdog_ms,):
@@ -333,38 +392,35 @@ class Roboteq:
 
     @property
     def _configuration(self) -> tuple[str, ...]:
-        return ("^ECHOF 0", f"^RWD {self.watchdog_ms}", "~RWD")
+        first = "!EX" if self._emergency else STOP_BOTH
+        return (first, "^ECHOF 0", f"^RWD {self.watchdog_ms}", "~RWD")
 
-    def _answered(self, name: str, values: tuple[int, ...], now_s: float) -> None:
-        self._values[name] = values
-        if name == "FF" or name == "FS":
-            self._believe(name, values[0])
+    def _answered(self, name: str, answers: list[tuple[int, ...]], now_s: float) -> None:
+        last = self.readings.get(name)
+        values = _agreed(name, answers, last)
+        if values is None:
+            self.contradictions += 1
+            return
+        self.readings[name] = values
+        if name in ("FF", "FS"):
+            self.flags[name] = values[0]
         elif name == "FM":
-            self._believe("FM1", values[0])
-            self._believe("FM2", values[1])
+            self.flags["FM1"], self.flags["FM2"] = values
         elif name == "S":
-            before, self._last_speeds = self._last_speeds, values
-            plausible = before is not None and _near(values, before)
-            if plausible and {"V", "FF"} <= self._values.keys():
+            plausible = last is not None and _near(values, last)
+            if plausible and {"V", "FF"} <= self.readings.keys():
                 self.sample = self._sampled(values, now_s)
 
-    def _believe(self, word: str, flags: int) -> None:
-        last, times = self._seen.get(word, (flags, 0))
-        times = times + 1 if flags == last else 1
-        self._seen[word] = (flags, times)
-        if times >= FAULTS_IN_A_ROW:
-            self.flags[word] = flags
-
     def _sampled(self, speeds: tuple[int, ...], now_s: float) -> DriveSample:
-        motor = self._values.get("A", (0, 0))
-        battery = self._values.get("BA", (0, 0))
-        temperatures = self._values.get("T")
+        motor = self.readings.get("A", (0, 0))
+        battery = self.readings.get("BA", (0, 0))
+        temperatures = self.readings.get("T")
         return DriveSample(
             t_s=now_s,
             wheel_rpm=(float(speeds[0]), float(speeds[1])),
             motor_current_a=(motor[0] / 10.0, motor[1] / 10.0),
             battery_current_a=(battery[0] / 10.0, battery[1] / 10.0),
-            battery_v=self._values["V"][1] / 10.0,
+            battery_v=self.readings["V"][1] / 10.0,
             controller_temperature_celsius=float(max(temperatures)) if temperatures else None,
             fault_flags=self.flags["FF"],
             status_flags=self.flags["FS"],
@@ -383,9 +439,14 @@ class Roboteq:
         lines = self._next(now_s)
         if not lines:
             return b""
-        self._exchange = _Exchange(lines, now_s, echo_may_be_off=lines[0].startswith("^ECHOF"))
-        fresh_line = "\r" if self.phase is Phase.CONFIGURING and self._step == 0 else ""
-        return (fresh_line + "".join(f"{line}\r" for line in lines)).encode("ascii")
+        configuring = self.phase is Phase.CONFIGURING
+        if now_s > self._stale_until_s:
+            self._stale.clear()
+        self._exchange = _Exchange(
+            lines, now_s, frozenset(self._stale), echo_may_be_off=configuring and self._step < 2
+        )
+        resync = RESYNC if configuring and self._step == 0 else ""
+        return (resync + "".join(f"{line}\r" for line in lines)).encode("ascii")
 
     def _next(self, now_s: float) -> list[str]:
         """The lines to send now."""
@@ -393,13 +454,15 @@ class Roboteq:
             return [self._configuration[self._step]] if now_s >= self._retry_s else []
         if self._stop:
             return ["!EX"]
+        if self._quench:
+            return [STOP_BOTH]
         if now_s >= self._motor_due_s:
             self._plan_cycle(now_s)
             self._sent_rpm = self._wanted_rpm
             return [f"!S {channel} {rpm}" for channel, rpm in enumerate(self._sent_rpm, start=1)]
         if self._go and self.phase is Phase.HOLDING:
             return ["!MG"]
-        return [f"?{self._queries.popleft()}"] if self._queries else []
+        return [f"?{self._queries.popleft()}"] * 2 if self._queries else []
 
     def _plan_cycle(self, now_s: float) -> None:
         """The next command comes a period later; until then there is time for two queries."""
@@ -410,7 +473,7 @@ class Roboteq:
 
     def _failed(self, now_s: float) -> None:
         """An exchange failed: commands are repeated at once, everything else in its turn."""
-        exchange, self._exchange = self._exchange, None
+        exchange = self._abandon()
         if exchange is not None and exchange.lines[0].startswith("!S"):
             self._motor_due_s = now_s
         if self.phase is not Phase.CONFIGURING:
@@ -425,6 +488,14 @@ class Roboteq:
                 "Check its power, its cable, that it is the controller's RS-232 or USB port, and its path "
                 "under [ports].",
             )
+
+    def _abandon(self) -> _Exchange | None:
+        """Wait no longer for the exchange under way; what it still brings belongs to nothing."""
+        exchange, self._exchange = self._exchange, None
+        if exchange is not None:
+            self._stale.extend(line.encode("ascii") for line in exchange.lines)
+            self._stale_until_s = exchange.deadline_s + DEADLINE_S
+        return exchange
 
     def _notice_gap(self, now_s: float) -> None:
         """Without confirmed commands the watchdog has stopped the motors, or power was lost: begin anew."""

@@ -236,6 +236,11 @@ class Roboteq:
             channel, rpm = _channel_and(numbers, most=65000)
             most = self._settings["MXRPM"][channel]
             self._command_rpm[channel] = float(min(max(rpm, -most), most))
+        elif name == "M":
+            if not 1 <= len(numbers) <= CHANNELS or any(abs(power) > 1000 for power in numbers):
+                raise Refused
+            for channel, power in enumerate(numbers):
+                self._command_rpm[channel] = power / 1000.0 * self._settings["MXRPM"][channel]
         elif name == "MS" and len(numbers) == 1:
             self._command_rpm[_channel(numbers[0])] = 0.0
         elif name == "EX" and not numbers:
