@@ -83,6 +83,7 @@ proof: setup system-avr ## Run what is too long for `make test`; figures go to d
 
 .PHONY: bench
 bench: setup ## Measure speed against named peers in the same run
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]'
 	@for script in bench/*.py; do case $$script in */_*) ;; *) echo "== $$script"; $(BIN)/python $$script || exit 1;; esac; done
 
 .PHONY: check
