@@ -66,7 +66,7 @@ MAX_CLIENTS = 8
 MAX_LINE_BYTES = 1024
 MAX_UNREAD_BYTES = 65536  # answers that a client does not fetch
 REQUESTS_PER_S = 250.0  # of one client, for long
-REQUESTS_AT_ONCE = 10.0  # of one client, after a pause
+REQUESTS_AT_ONCE = 5.0  # of one client, after a pause
 SEND_BUFFER_BYTES = 16384  # small: telemetry that waits in the kernel is old
 NOTES = 10
 
@@ -201,17 +201,10 @@ class Desk:
         self._robot = robot
         self._bounds = bounds(robot)
         self._suspension = Suspension.from_config(robot)
+        self._limits = self._find_limits()
         self._heard_s = -math.inf
         self._drive_until_s = -math.inf
         self._is_driving = False
-
-    def limits(self) -> dict[str, tuple[float, float]]:
-        """Return the lowest and highest value of each field, and how far the strokes reach in one axis."""
-        roll, pitch = self._suspension.limits()
-        return {name: (bound.low, bound.high) for name, bound in self._bounds.items()} | {
-            "reachable_roll_rad": (-roll, roll),
-            "reachable_pitch_rad": (-pitch, pitch),
-        }
 
     def status(self, daemon: Daemon, record: Record) -> Status:
         """Return everything that is known now."""
@@ -219,6 +212,14 @@ class Desk:
         return Status(
             state=record.state.name, reason=record.reason, helm=self.helm, log_lines=lines, record=record
         )
+
+    def _find_limits(self) -> dict[str, tuple[float, float]]:
+        """Return the lowest and highest value of each field, and how far the strokes reach in one axis."""
+        roll, pitch = self._suspension.limits()
+        return {name: (bound.low, bound.high) for name, bound in self._bounds.items()} | {
+            "reachable_roll_rad": (-roll, roll),
+            "reachable_pitch_rad": (-pitch, pitch),
+        }
 
     def carry_out(self, request: Request, moment: Moment) -> Reply:
         """Do what a client asks for, or say why not; a refused request changes nothing."""
@@ -349,7 +350,7 @@ class Desk:
 
     def _status(self, request: StatusRequest, moment: Moment) -> Reply:
         status = self.status(moment.daemon, moment.record)
-        return StatusReply(id=request.id, text=status.state, status=status, limits=self.limits())
+        return StatusReply(id=request.id, text=status.state, status=status, limits=self._limits)
 
     def _subscribe(self, request: SubscribeRequest, moment: Moment) -> Reply:
         return Accepted(id=request.id, text=f"telemetry at {request.rate_hz:g} Hz")
