@@ -59,9 +59,10 @@ run: setup ## Bring up the emulated robot on its shaking plate and level it (SCE
 	@$(TIGER) run --emulate $(SCENARIO) --duration $(DURATION)
 
 .PHONY: generate
-generate: setup ## Write both sides of the wire from protocol/tiger.toml, and docs/safety.md from its tables
+generate: setup ## Write both sides of the wire from protocol/tiger.toml, and the pages made from tables and models
 	@$(BIN)/python protocol/generate.py
 	@$(BIN)/python scripts/render_safety.py
+	@$(BIN)/python scripts/render_api.py
 
 # ------------------------------------------------------------------------------------------------------ tests
 
@@ -95,6 +96,7 @@ check: setup ## Formatters, linters, types, import rules, generated files
 	@$(BIN)/lint-imports --config pyproject.toml
 	@$(BIN)/python protocol/generate.py --check
 	@$(BIN)/python scripts/render_safety.py --check
+	@$(BIN)/python scripts/render_api.py --check
 
 .PHONY: format
 format: setup ## Format all sources in place

@@ -49,7 +49,7 @@ TABLE = (
     Row(DaemonState.ARMED, lambda f: f.estop, DaemonState.ESTOP, "emergency stop"),
     Row(DaemonState.ARMED, lambda f: f.fault, DaemonState.FAULT, "a fault while armed"),
     Row(DaemonState.ARMED, lambda f: f.missing, DaemonState.FAULT, "a device was lost while armed"),
-    Row(DaemonState.ARMED, lambda f: f.unknown, DaemonState.FAULT, "a device was reset while armed"),
+    Row(DaemonState.ARMED, lambda f: f.unknown, DaemonState.FAULT, "a device stopped answering while armed"),
     Row(DaemonState.ARMED, lambda f: f.disarm, DaemonState.DISARMED, "disarmed"),
     Row(DaemonState.ARMED, lambda f: not f.armed, DaemonState.FAULT, "a device disarmed by itself"),
     Row(DaemonState.FAULT, lambda f: f.estop, DaemonState.ESTOP, "emergency stop"),
