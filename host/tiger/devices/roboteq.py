@@ -121,7 +121,7 @@ class _Query:
 _QUERIES = {
     query.name: query
     for query in (
-        _Query("S", (2,), -RPM_LIMIT, RPM_LIMIT, within=(10, 10)),
+        _Query("S", (2,), -RPM_LIMIT, RPM_LIMIT, within=(6, 6)),
         _Query("A", (2,), -5000, 5000, within=(50, 50)),
         _Query("BA", (2,), -5000, 5000, within=(50, 50)),
         _Query("V", (3,), 0, 10_000, within=(5, 5, 50)),
@@ -174,8 +174,11 @@ class _Exchange:
             # Half a line from before may be answered first; only a "+" can be ours.
             return line == b"+" and self._answer(sent, line)
         # Perhaps our command arrived as another one; and an answer without its echo confirms nothing.
-        self.wrong_echo = line[:1] in _COMMAND_START and line not in self._stale
-        self.failed = self.wrong_echo or (line in (b"+", b"-") and not self._stale)
+        if line in self._stale:
+            return False
+        skipped = line.decode("ascii", "replace") in self.lines
+        self.wrong_echo = line[:1] in _COMMAND_START and not skipped
+        self.failed = self.wrong_echo or skipped or (line in (b"+", b"-") and not self._stale)
         return False
 
     def _answer(self, sent: bytes, line: bytes) -> bool:
