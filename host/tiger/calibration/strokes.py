@@ -1,8 +1,9 @@
 """Potentiometers against measured strokes (Figure 3.9).
 
 At each of any number of positions the four strokes are measured with a ruler or a caliper. The board keeps a
-straight line per actuator (potentiometer sums at stroke 0 and at full stroke), so a line is fitted; how far
-the measurements are from it is said, and drawn.
+curve of four straight pieces per actuator: the potentiometer sums at both ends of the stroke, and how far
+those at its quarters are off the line between them. With few positions only the line is fitted. How far the
+measurements are from the curve is said, and drawn.
 """
 
 from __future__ import annotations
@@ -38,6 +39,10 @@ MOVES_FROM = 0.12  # of the full stroke: how near the ends the robot goes by its
 NOISE_MOST_SUMS = 64.0  # four counts of the converter, in sums of 16
 RESIDUAL_MOST_MM = 0.5
 SPREAD_LEAST = 0.5  # of the full stroke that the positions must cover
+PIECES = 4
+POSITIONS_FOR_A_CURVE = 6  # fewer do not tell a bow from a slip of the ruler
+STRAIGHTNESS = 0.1  # how strongly the curve keeps straight where no position says otherwise
+QUARTERS = ("pot_quarter_counts", "pot_half_counts", "pot_three_quarters_counts")
 SPAN_LEAST_SUMS = 2800  # what the board needs between stroke 0 and full stroke
 
 _LIMITS = {param.name: param for param in PARAMS[BoardKind.MEGA_SUSPENSION]}
@@ -61,12 +66,12 @@ def unrest(readings: Array) -> str | None:
 
 
 def solve(windows: tuple[Window, ...], before: Values) -> Result:
-    """A line per corner through (sum, measured stroke) of every position, (N, 4) sums each."""
+    """A curve per corner through (sum, measured stroke) of every position, (N, 4) sums each."""
     sums = np.array([window.mean for window in windows])  # (positions, corners)
     strokes = np.array([window.measured for window in windows])
     (full,) = before["stroke_full_mm"]
     findings, notes = [], []
-    lows, highs = [], []
+    curves = np.zeros((len(CORNERS), PIECES + 1))
     for corner, name in enumerate(CORNERS):
         stroke, reading = strokes[:, corner], sums[:, corner]
         _refuse_little_spread(name, stroke, full)
@@ -74,23 +79,23 @@ def solve(windows: tuple[Window, ...], before: Values) -> Result:
             raise CalibrationError(
                 f"strokes: potentiometer {name} reads {reading[0]:.0f} at every position; check its wires"
             )
-        slope, start = np.polyfit(reading, stroke, 1)
-        low, high = round(float(-start / slope)), round(float((full - start) / slope))
+        curve = np.round(fit_curve(stroke / full, reading))
+        low, high = int(curve[0]), int(curve[-1])
         _refuse_what_cannot_be_stored(name, low, high)
-        left = stroke - (slope * reading + start)
+        curves[corner] = curve
+        left = stroke - _strokes_mm(curve, reading, full)
         worst, rms = float(np.abs(left).max()), float(np.sqrt(np.mean(left**2)))
         findings += [
             Finding(f"{name} at stroke 0", low, "sums"),
             Finding(f"{name} at {full:g} mm", high, "sums"),
-            Finding(f"{name} from the line", rms, "mm RMS"),
+            Finding(f"{name} bow", float(np.abs(_bow(curve)).max()), "sums"),
+            Finding(f"{name} from the curve", rms, "mm RMS"),
             Finding(f"{name} farthest", worst, "mm", RESIDUAL_MOST_MM, worst <= RESIDUAL_MOST_MM),
         ]
-        lows.append(float(low))
-        highs.append(float(high))
         if worst > RESIDUAL_MOST_MM:
             notes.append(
-                f"{name} is up to {worst:.2f} mm from a straight line, which is all that the board keeps: "
-                "measure again, or live with that error."
+                f"{name} is up to {worst:.2f} mm from its curve: measure again"
+                + (f", at {POSITIONS_FOR_A_CURVE} positions or more." if _is_line(stroke) else ".")
             )
     if len(windows) == 2:
         notes.append("Two positions always lie on a line: more of them would show how straight it is.")
@@ -98,8 +103,53 @@ def solve(windows: tuple[Window, ...], before: Values) -> Result:
         name: [[float(s), float(r)] for s, r in zip(strokes[:, k], sums[:, k], strict=True)]
         for k, name in enumerate(CORNERS)
     }
-    parameters = {"pot_low_counts": tuple(lows), "pot_high_counts": tuple(highs), "stroke_full_mm": (full,)}
+    bows = np.array([_bow(curve) for curve in curves])
+    parameters = {
+        "pot_low_counts": tuple(curves[:, 0].tolist()),
+        "pot_high_counts": tuple(curves[:, -1].tolist()),
+        **{name: tuple(bows[:, k].tolist()) for k, name in enumerate(QUARTERS)},
+        "stroke_full_mm": (full,),
+    }
     return Result(tuple(findings), parameters, tuple(notes), series)
+
+
+def _is_line(stroke: Array) -> bool:
+    return len(stroke) < POSITIONS_FOR_A_CURVE
+
+
+def fit_curve(share: Array, reading: Array) -> Array:
+    """Sums at 0, 1/4, 1/2, 3/4 and 1 of the stroke, (5,), that fit the sums read at shares of it, (N,) each.
+
+    Least squares over straight pieces between those points; a line through all when there are few positions.
+    """
+    knots = np.linspace(0.0, 1.0, PIECES + 1)
+    if _is_line(share):
+        slope, start = np.polyfit(share, reading, 1)
+        return np.asarray(start + slope * knots, dtype=np.float64)
+    pieces = np.array([np.interp(share, knots, unit) for unit in np.eye(PIECES + 1)]).T
+    straight = STRAIGHTNESS * np.diff(np.eye(PIECES + 1), n=2, axis=0)
+    both = np.vstack([pieces, straight])
+    aim = np.concatenate([reading, np.zeros(len(straight))])
+    return np.asarray(np.linalg.lstsq(both, aim, rcond=None)[0], dtype=np.float64)
+
+
+def _bow(curve: Array) -> Array:
+    """Sums at the three inner points above the line between the ends, whole numbers."""
+    line = np.linspace(curve[0], curve[-1], PIECES + 1)
+    return np.asarray(np.round(curve - np.trunc(line))[1:-1])
+
+
+def _strokes_mm(curve: Array, reading: Array, full_mm: float) -> Array:
+    """What the board makes of sums: it goes on straight beyond the ends."""
+    order = np.argsort(curve)
+    strokes = np.linspace(0.0, full_mm, PIECES + 1)
+    inner = np.interp(reading, curve[order], strokes[order])
+    low_slope = (strokes[1] - strokes[0]) / (curve[1] - curve[0])
+    high_slope = (strokes[-1] - strokes[-2]) / (curve[-1] - curve[-2])
+    rising = 1.0 if curve[-1] > curve[0] else -1.0
+    inner = np.where(rising * (reading - curve[0]) < 0, (reading - curve[0]) * low_slope, inner)
+    beyond = rising * (reading - curve[-1]) > 0
+    return np.asarray(np.where(beyond, full_mm + (reading - curve[-1]) * high_slope, inner))
 
 
 def _refuse_little_spread(corner: str, stroke: Array, full: float) -> None:
@@ -162,10 +212,13 @@ def plot(result: Result, folder: Path) -> Path:
     figure = Figure(figsize=(7.0, 5.0), layout="constrained")
     axes = figure.add_subplot()
     low, high = result.parameters["pot_low_counts"], result.parameters["pot_high_counts"]
+    bows = np.array([result.parameters[name] for name in QUARTERS])
     (full,) = result.parameters["stroke_full_mm"]
     for k, name in enumerate(CORNERS):
         points = np.array(result.series[name])
-        (line,) = axes.plot([low[k], high[k]], [0.0, full], linewidth=1.0)
+        curve = np.linspace(low[k], high[k], PIECES + 1)
+        curve[1:-1] += bows[:, k]
+        (line,) = axes.plot(curve, np.linspace(0.0, full, PIECES + 1), linewidth=1.0)
         axes.plot(points[:, 1], points[:, 0], "o", color=line.get_color(), label=name)
     axes.set_xlabel("potentiometer value, sums of 16 conversions")
     axes.set_ylabel("motor stroke, mm")
