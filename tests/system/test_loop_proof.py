@@ -1,8 +1,8 @@
 """The loop keeps time: `tiger run` as it runs on the robot, at 200 Hz over pseudo-terminals, in adversity.
 
-The emulated robot has the other core and a scheduling class that lets no load slow it down, as hardware would
-not be; a spinning program fills what it leaves of that core. While the loop runs, its log's process is stalled,
-as by a disk that does not answer, and the process that draws the terminal is killed.
+The emulated robot has the other core and a scheduling class in which no load slows it down, as none would
+slow down hardware; a spinning program fills what it leaves of that core. While the loop runs, its log's
+process is stalled, as by a disk that does not answer, and the process that draws the terminal is killed.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ STALL_S = 4.0
 START_S = 120.0  # the first start on a computer compiles the vehicle model
 LATENESS_BAR_US = 1000.0
 CPU_BAR = 0.15
+CUT_FRAMES = 1  # per line: the one that was on its way as the port was opened
 MOST_MISSED_TICKS = 20  # the first tick opens the ports
 
 
@@ -206,7 +207,7 @@ def _prove(proof: Proof, duration_s: float, record_figure: Callable[[str, object
     assert late["p99_us"] <= LATENESS_BAR_US
     assert (proof.health.seq_gaps, proof.health.setpoint_rejects) == (0, 0)
     assert sum(proof.health.rejects) == 0
-    assert all(link["refused"] == 0 and link["lost"] == 0 for link in links.values())
+    assert all(link["refused_by_board"] == 0 and link["lost"] <= CUT_FRAMES for link in links.values())
     assert proof.core_share <= CPU_BAR
 
 

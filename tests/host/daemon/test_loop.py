@@ -52,11 +52,7 @@ def test_ticks_keep_to_the_grid_of_the_control_period() -> None:
 def test_a_stall_is_not_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = VirtualClock()
 
-    def wait(_: object, seconds: float) -> bool:
-        clock.set(clock.now_s() + seconds + 1e-9)
-        return False
-
-    monkeypatch.setattr(loop._Watcher, "wait", wait)
+    monkeypatch.setattr("time.sleep", lambda seconds: clock.set(clock.now_s() + seconds + 1e-9))
     daemon = Daemon(load_robot(None), NoPorts(), clock)
     times: list[float] = []
 
