@@ -233,7 +233,8 @@ class Ordeal:
                 tally.wrong_ms = max(tally.wrong_ms, self._now_ms - since_ms + 1)
 
 
-SUMS = "exchanges completed readings wrong_readings commands unnoticed changed resumed stops gaps".split()
+TRAFFIC = ("exchanges", "completed", "readings", "commands", "gaps", "stops")
+COUNTS = (*TRAFFIC, "wrong_readings", "unnoticed", "changed", "resumed")
 
 
 def _ordeals(exchanges: int, noise: LineNoise) -> Tally:
@@ -241,7 +242,7 @@ def _ordeals(exchanges: int, noise: LineNoise) -> Tally:
     total = Tally()
     for seed, echo in enumerate((True, False)):
         tally = Ordeal(seed=seed, echo=echo, noise=noise).run(exchanges // 2)
-        for name in SUMS:
+        for name in COUNTS:
             setattr(total, name, getattr(total, name) + getattr(tally, name))
         for name in ("worst_ms", "wrong_ms"):
             setattr(total, name, max(getattr(total, name), getattr(tally, name)))
