@@ -31,6 +31,7 @@ COMMANDS = {
     "doctor": Entry("tiger.cli.doctor", "doctor", "Find out what keeps the robot from being reached."),
     "protocol": Entry("tiger.cli.protocol", "app", "Read frames and captures of the wire as text."),
     "log": Entry("tiger.cli.log", "app", "Look into a recorded run: plot, export, replay."),
+    "identify": Entry("tiger.cli.identify", "identify", "Find how the body answers its strokes, from a log."),
     "study": Entry("tiger.cli.study", "app", "Run an experiment of the dissertation again."),
 }
 
