@@ -389,18 +389,21 @@ def _run_emulated(
 
         config = robot.model_copy(update={"ports": emulated.ports})
         title = f"TIGER, emulated: {scenario.title}"
-        return _run_real_time(config, wishes, title, truth, emulated.begin, scenario.drive)
+        return _run_real_time(config, wishes, title, emulated.clock, truth, emulated.begin, scenario.drive)
 
 
 def _run_hardware(robot: RobotConfig, wishes: Wishes) -> tuple[Journal, Lateness]:
-    return _run_real_time(robot, wishes, "TIGER", None)
+    from tiger.daemon.clock import MonotonicClock
+
+    return _run_real_time(robot, wishes, "TIGER", MonotonicClock())
 
 
 def _run_real_time(
     robot: RobotConfig,
     wishes: Wishes,
     title: str,
-    truth: Callable[[], tuple[float, float, float]] | None,
+    clock: Clock,
+    truth: Callable[[], tuple[float, float, float]] | None = None,
     begin: Callable[[], None] = lambda: None,
     plan: tuple[DriveEvent, ...] = (),
 ) -> tuple[Journal, Lateness]:
@@ -413,7 +416,6 @@ def _run_real_time(
 
     from tiger.cli.live import ScreenProcess, is_terminal
     from tiger.daemon import loop
-    from tiger.daemon.clock import MonotonicClock
     from tiger.daemon.daemon import Daemon
     from tiger.devices.ports import SerialPorts
     from tiger.rig.planned_drive import PlannedDrive
@@ -427,7 +429,6 @@ def _run_real_time(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
 
-    clock = MonotonicClock()
     start_s = clock.now_s()
     log = _Log(wishes.log_folder, robot, clock)
     daemon = Daemon(robot, log.tap(SerialPorts()), clock, nonce=int(start_s * 1e3) & 0xFFFF)

@@ -35,7 +35,9 @@ LINKS = {
 """Cable of the emulated robot -> name of its link in the folder."""
 
 READ_BYTES = 4096
-MOST_BEHIND_S = 0.05  # a longer stall is not made up for: in one burst of it the boards would hear no one
+MOST_BEHIND_S = 0.03
+"""What a stall took beyond this is not made up for: in a long burst the boards would hear no one, and once a
+board has been 50 ms behind the host, whatever the host says after it caught up is too old for it."""
 
 
 class PtyLine:
@@ -78,6 +80,7 @@ class PtyRobot:
         self._lines = [PtyLine(robot.cables[cable], folder / link) for cable, link in LINKS.items()]
         self._config = folder / "robot.toml"
         self._config.write_text(_config_text(folder), encoding="utf-8")
+        self.began_s = 0.0  # when its time was zero, on the monotonic clock
         self.longest_step_s = 0.0
         self.skipped_s = 0.0  # wall time that stalls took away from the robot
 
@@ -93,7 +96,7 @@ class PtyRobot:
         """Keep the robot beside the wall clock for `duration_s`, or until `each_step` returns False."""
         robot = self.robot
         end_s = robot.time_s + duration_s
-        offset_s = time.monotonic() - robot.time_s
+        self.began_s = time.monotonic() - robot.time_s - self.skipped_s
         while robot.time_s < end_s:
             began_s = time.monotonic()
             for line in self._lines:
@@ -103,10 +106,9 @@ class PtyRobot:
                 return
             now_s = time.monotonic()
             self.longest_step_s = max(self.longest_step_s, now_s - began_s)
-            behind_s = now_s - offset_s - robot.time_s
+            behind_s = now_s - self.began_s - self.skipped_s - robot.time_s
             if behind_s > MOST_BEHIND_S:
-                offset_s += behind_s
-                self.skipped_s += behind_s
+                self.skipped_s += behind_s - MOST_BEHIND_S
             elif behind_s < -STEP_S:
                 time.sleep(-behind_s - 0.5 * STEP_S)
 

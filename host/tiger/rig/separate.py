@@ -1,8 +1,11 @@
 """The emulated robot in real time and in a process of its own, behind pseudo-terminals.
 
 with SeparateRobot(vehicle, "shaking-plate", seed=0) as robot:
-    daemon = Daemon(config.model_copy(update={"ports": robot.ports}), SerialPorts(), MonotonicClock())
+    daemon = Daemon(config.model_copy(update={"ports": robot.ports}), SerialPorts(), robot.clock)
     robot.truth()          # what the world really does, for plots only
+
+Both live in real time as far as this computer allows it. Where it is too busy, time stands still for both:
+hardware would not wait, but a robot that stops because of the computer it is emulated on helps no one.
 """
 
 from __future__ import annotations
@@ -11,11 +14,12 @@ import contextlib
 import multiprocessing
 import tempfile
 import time
-from multiprocessing.sharedctypes import RawArray
+from multiprocessing.sharedctypes import RawArray, RawValue
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tiger.config.robot import PortsConfig
+from tiger.emulation.serve import MOST_BEHIND_S
 
 if TYPE_CHECKING:
     from multiprocessing.synchronize import Event
@@ -24,6 +28,9 @@ if TYPE_CHECKING:
 
 START_TIME_S = 300.0
 """The first start on a computer compiles the vehicle model."""
+HOST_STALLED_S = 0.01
+"""A host that has not asked for the time for so long is not running: the robot waits for it."""
+PAUSE_S = 0.001
 
 
 class SeparateTruth(NamedTuple):
@@ -34,6 +41,34 @@ class SeparateTruth(NamedTuple):
     pitch_deg: float
 
 
+class _Shared:
+    """What the two processes tell each other; a double is written and read in one piece."""
+
+    def __init__(self) -> None:
+        self.truth: Any = RawArray("d", len(SeparateTruth._fields))
+        self.began_s: Any = RawValue("d", 0.0)  # the robot's time zero on the monotonic clock; 0: not yet
+        self.skipped_s: Any = RawValue("d", 0.0)
+        self.asked_s: Any = RawValue("d", 0.0)  # when the host last wanted to know the time
+
+
+class RobotClock:
+    """The monotonic clock without what stalls took away: never further ahead of the robot than it may be."""
+
+    def __init__(self, shared: _Shared) -> None:
+        self._shared = shared
+        self._now_s = 0.0
+
+    def now_s(self) -> float:
+        """Seconds since some moment in the past."""
+        shared = self._shared
+        now_s = shared.asked_s.value = time.monotonic()
+        if shared.began_s.value:
+            robot_s = shared.began_s.value + shared.truth[0]
+            now_s = min(now_s - shared.skipped_s.value, robot_s + MOST_BEHIND_S)
+        self._now_s = max(self._now_s, now_s)
+        return self._now_s
+
+
 class SeparateRobot:
     """Context manager; see the module's text."""
 
@@ -41,12 +76,13 @@ class SeparateRobot:
         """`scenario` is a name or a path, and must be one that can be loaded."""
         context = multiprocessing.get_context("spawn")
         self._folder = tempfile.TemporaryDirectory(prefix="tiger-")
-        self._truth: Any = RawArray("d", len(SeparateTruth._fields))
+        self._shared = _Shared()
+        self.clock = RobotClock(self._shared)
         self._ready = context.Event()
         self._begin = context.Event()
         self._process = context.Process(
             target=_serve,
-            args=(vehicle, scenario, seed, self._folder.name, self._truth, self._ready, self._begin),
+            args=(vehicle, scenario, seed, self._folder.name, self._shared, self._ready, self._begin),
             daemon=True,
         )
 
@@ -62,7 +98,7 @@ class SeparateRobot:
 
     def truth(self) -> SeparateTruth:
         """What the world really does."""
-        return SeparateTruth(*self._truth)
+        return SeparateTruth(*self._shared.truth)
 
     def begin(self) -> None:
         """Let its time run; until then its lines are there and silent."""
@@ -85,7 +121,7 @@ class SeparateRobot:
 
 
 def _serve(
-    vehicle: VehicleConfig, scenario: str, seed: int, folder: str, truth: Any, ready: Event, begin: Event
+    vehicle: VehicleConfig, scenario: str, seed: int, folder: str, shared: _Shared, ready: Event, begin: Event
 ) -> None:
     """Body of the process."""
     from tiger.emulation.robot import EmulatedRobot
@@ -94,7 +130,11 @@ def _serve(
 
     def each_step(robot: EmulatedRobot) -> bool:
         now = robot.truth()
-        truth[:] = (now.time_s, now.roll_deg, now.pitch_deg)
+        shared.skipped_s.value = served.skipped_s
+        shared.truth[:] = (now.time_s, now.roll_deg, now.pitch_deg)
+        shared.began_s.value = served.began_s
+        while time.monotonic() - shared.asked_s.value > HOST_STALLED_S:
+            time.sleep(PAUSE_S)
         return True
 
     robot = EmulatedRobot(vehicle, load_scenario(scenario), seed=seed)
