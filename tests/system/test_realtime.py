@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
+import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +16,6 @@ import pytest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 pytestmark = pytest.mark.realtime
 
@@ -44,3 +47,37 @@ def test_levels_in_real_time_as_in_virtual_time(
     assert lateness["ticks"] > 14 * 200 * 0.8  # a busy computer may miss ticks
     assert lateness["p99_us"] > 0.0
     assert "late by" in done.stdout
+
+
+def _emulated_robot_of(process: int) -> int:
+    for children in Path(f"/proc/{process}/task").glob("*/children"):
+        for child in children.read_text().split():
+            if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text():
+                return int(child)
+    raise AssertionError("the emulated robot has no process")
+
+
+def _stall(process: int, seconds: float) -> None:
+    os.kill(process, signal.SIGSTOP)
+    time.sleep(seconds)
+    os.kill(process, signal.SIGCONT)
+
+
+def test_a_computer_that_stalls_stops_no_emulated_robot(tmp_path: Path) -> None:
+    report = tmp_path / "run.json"
+    command = [sys.executable, "-m", "tiger.cli.main", "run", "--emulate", "shaking-plate"]
+    command += ["--duration", "12", "--json", str(report)]
+    own_socket = {**os.environ, "TIGER_SOCKET": str(tmp_path / "robot.sock"), "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=own_socket) as daemon:
+        assert daemon.stdout is not None
+        assert any("ARMED: armed" in line for line in daemon.stdout)
+        robot = _emulated_robot_of(daemon.pid)
+        for stalled in (robot, daemon.pid, robot):
+            time.sleep(1.0)
+            _stall(stalled, 0.6)
+        rest = daemon.stdout.read()
+    summary = json.loads(report.read_text())["summary"]
+    assert daemon.returncode == 0, rest
+    assert summary["stops"] == []
+    assert summary["state"] == "ARMED"
+    assert summary["armed_share"] > 0.5
