@@ -105,6 +105,7 @@ class Tally:
     resumed: int = 0  # brought back a speed from before the watchdog's expiry
     stops: int = 0
     gaps: int = 0
+    reboots: int = 0
     used: Counter[str] = field(default_factory=Counter)
     wrong: Counter[str] = field(default_factory=Counter)
     largest_error: Counter[str] = field(default_factory=Counter)  # of each query, in its own units
@@ -132,6 +133,7 @@ class Ordeal:
         self._sent_rpm: deque[tuple[int, int]] = deque([(0, 0)], maxlen=3)
         self._wrong_since_ms: list[int | None] = [None, None]
         self._dark_until_ms = 0
+        self._rebooted_s = -1.0
 
     def run(self, exchanges: int) -> Tally:
         """Go on until so many exchanges have begun."""
@@ -148,6 +150,9 @@ class Ordeal:
             self._dark_until_ms = self._now_ms + self.random.randrange(20, 400)
             if self.random.random() < 0.3:
                 self.controller.reboot()
+                self._rebooted_s = self._now_ms * 1e-3
+                self._wrong_since_ms = [None, None]  # with its power it lost its commands
+                self.tally.reboots += 1
         if self._now_ms >= self._dark_until_ms:
             self.down.cut = self.up.cut = False
 
@@ -178,11 +183,14 @@ class Ordeal:
             if exchange is None or driver.exchanges == completed:
                 continue
             self.tally.worst_ms = max(self.tally.worst_ms, 1e3 * (now_s - exchange.sent_s))
-            self._check(exchange.lines[0])
+            self._check(exchange.lines[0], lost_power=exchange.sent_s <= self._rebooted_s)
 
-    def _check(self, line: str) -> None:
+    def _check(self, line: str, lost_power: bool) -> None:
         if line.startswith("!S"):
             self.tally.commands += 1
+            # A unit that lost its power after it had answered has forgotten the command; nobody can know yet.
+            if lost_power:
+                return
             self.tally.unnoticed += self.controller.commands_rpm != tuple(map(float, self._sent_rpm[-1]))
         elif line.startswith("?") and line[1:] in self.driver.readings:
             name = line[1:]
@@ -233,7 +241,7 @@ class Ordeal:
                 tally.wrong_ms = max(tally.wrong_ms, self._now_ms - since_ms + 1)
 
 
-TRAFFIC = ("exchanges", "completed", "readings", "commands", "gaps", "stops")
+TRAFFIC = ("exchanges", "completed", "readings", "commands", "gaps", "stops", "reboots")
 COUNTS = (*TRAFFIC, "wrong_readings", "unnoticed", "changed", "resumed")
 
 
@@ -259,9 +267,10 @@ CHANGE_LIMIT_MS = 45  # a changed command acts for a deadline, the wire and one 
 
 def _expect_no_error(tally: Tally) -> None:
     assert tally.wrong_readings == 0
-    assert tally.unnoticed == tally.changed == tally.stops == 0
+    assert tally.unnoticed == tally.changed == 0
+    assert tally.stops <= tally.reboots  # power lost in the middle of a line cuts its echo
     assert tally.resumed == 0
-    assert tally.worst_ms <= 1e3 * DEADLINE_S + 1e-6
+    assert tally.worst_ms <= 1e3 * DEADLINE_S + 1e-3 * STEP_US
     assert tally.gaps > tally.exchanges / 5000  # the blackouts did bite
     assert tally.completed > 0.85 * tally.exchanges
 
@@ -274,7 +283,7 @@ def _expect_every_error_noticed(tally: Tally) -> None:
     assert tally.wrong_ms <= CHANGE_LIMIT_MS
     assert tally.wrong_readings <= 5e-3 * tally.readings
     assert tally.largest_error["S"] <= SPEED_JUMP_RPM
-    assert tally.worst_ms <= 1e3 * DEADLINE_S + 1e-6
+    assert tally.worst_ms <= 1e3 * DEADLINE_S + 1e-3 * STEP_US
 
 
 def test_lost_lines_fragments_and_blackouts_cause_no_wrong_value_and_no_resumed_speed() -> None:
@@ -293,7 +302,9 @@ def test_a_million_exchanges_with_losses(record_figure: Callable[[str, object, s
     record_figure(f"{what}: wrong values", tally.wrong_readings, "0")
     record_figure(f"{what}: commands obeyed that were not sent", tally.changed, "0")
     record_figure(f"{what}: old speeds resumed over {tally.gaps} gaps", tally.resumed, "0")
-    record_figure(f"{what}: longest exchange, ms", round(tally.worst_ms, 3), "<= 20")
+    record_figure(
+        f"{what}: longest exchange, ms", round(tally.worst_ms, 3), "<= 20, looked at once a millisecond"
+    )
     record_figure(f"{what}: completed at once, %", 100.0 * tally.completed / tally.exchanges, "> 85")
     _expect_no_error(tally)
 
