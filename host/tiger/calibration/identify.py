@@ -150,11 +150,18 @@ class Identification:
                 "frequency_hz": self.frequency_hz.tolist(),
                 "magnitude": np.abs(self.response).tolist(),
                 "phase_deg": np.degrees(np.angle(self.response)).tolist(),
-                "half_width_95": np.where(np.isfinite(self.half_width), self.half_width, None).tolist(),
+                "half_width_95": _without_infinity(self.half_width),
                 "coherence": self.coherence.tolist(),
                 "expected_magnitude": np.abs(self.expected).tolist(),
             },
         }
+
+
+def _without_infinity(values: Array) -> Any:
+    """Nested lists with None for what is infinite, which JSON does not know."""
+    plain = values.astype(object)
+    plain[np.isinf(values)] = None
+    return plain.tolist()
 
 
 # ------------------------------------------------------------------------------------------------ the record
@@ -242,15 +249,22 @@ def identify(recording: Recording, robot: RobotConfig) -> Identification:
     model = strokes.identify(only_told, angles, ANGLES, SAMPLE_S)
     gains = _gains(moved_mm, recording.imu[:, :2], angles, use)
     body_modes, more = _body_modes(found, told, robot.vehicle)
-    # Of a complex number with variance std^2; its degrees of freedom are what the inputs leave of the averages.
+    # Of a complex number with variance std^2; the inputs take their degrees of freedom from the averages.
     quantile = float(stats.t.ppf(0.975, 2 * max(strokes.SEGMENTS - len(use), 1)))
-    remarks += _blind(gains, found, told) + _band(found, told) + more + _circumstances(recording)
+    remarks += [
+        *_blind(gains, found, told),
+        *_band(found, told),
+        *more,
+        *_circumstances(recording),
+        f"above {strokes.MOST_HZ:g} Hz: not identified, the actuators are too slow to excite it",
+        "road and wheel forces: not excited, the robot has no shaker",
+    ]
     return Identification(
         duration_s=recording.duration_s,
         stroke_rms_mm=dict(zip(MODES, rms.tolist(), strict=True)),
         gains=gains,
         body_modes=body_modes,
-        remarks=(*remarks, "road and wheel forces: not excited, the robot has no shaker"),
+        remarks=tuple(remarks),
         frequency_hz=np.asarray(found.frequency_hz, dtype=np.float64),
         response=found.response,
         half_width=np.asarray(quantile * found.std / math.sqrt(2.0), dtype=np.float64),
@@ -382,8 +396,8 @@ def _body_modes(
         fitted = _fitted(found, axis, expected_hz) if axis in told else None
         if fitted is None:
             remarks.append(
-                f"{axis}: the record does not carry its first mode, expected near {expected_hz:.1f} Hz; "
-                f"the actuators excite nothing above {strokes.MOST_HZ:g} Hz"
+                f"{axis}: the record does not carry its first mode, expected near {expected_hz:.1f} Hz "
+                f"with a damping of {expected_damping:.2f}"
             )
         else:
             results.append(BodyMode(axis, *fitted, expected_hz, expected_damping))

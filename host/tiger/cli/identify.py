@@ -87,4 +87,4 @@ def _show(found: Identification) -> None:
             f"(expected {mode.expected_damping:.2f})"
         )
     for remark in found.remarks:
-        console.print(f"  {remark}", style="dim", markup=False)
+        console.print(f"  {remark}", style="dim", markup=False, soft_wrap=True)

@@ -1,6 +1,6 @@
 """Weights of the chapter 6 ride controllers, and the schedule that chooses among them.
 
-Found by `scripts/tune_ride.py` for the car of Table 6.1, trained on noise and road seeds 1000 and up. Gains are
+Found by `scripts/tune_ride.py` for the car of Table 6.1, trained on noise and road seeds ≥ 1000. Gains are
 designed from the vehicle's own numbers every time; only these weights are constants. The first three are
 tuned to one road each and are fragile for it, as `tiger study monte-carlo` shows; ROBUST is the one for a
 vehicle that is not known well.
