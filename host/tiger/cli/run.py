@@ -38,6 +38,7 @@ class Wishes:
     yaw_rate_radps: float
     duration_s: float | None
     log_folder: Path | None = None
+    keep_series: bool = False  # only for --json: a service runs for weeks
 
 
 @dataclass
@@ -192,7 +193,9 @@ def run(
 
     if virtual_time and emulate is None:
         _fail("--virtual-time needs --emulate SCENARIO: a real robot lives in real time")
-    wishes = Wishes(arm or emulate is not None, speed, math.radians(yaw_rate), duration, log)
+    wishes = Wishes(
+        arm or emulate is not None, speed, math.radians(yaw_rate), duration, log, json_file is not None
+    )
     outcome: tuple[Journal, Lateness | None]
     try:
         robot = load_robot(config)
@@ -360,7 +363,7 @@ def _run_virtual(robot: RobotConfig, scenario_name: str, seed: int, wishes: Wish
         for tick, record in enumerate(rig.run(duration_s)):
             driver.after(record)
             log.record(record, rig.daemon)
-            keep = tick % every == 0
+            keep = wishes.keep_series and tick % every == 0
             truth = rig.robot.truth()
             journal.add(record, rig.time_s, (truth.roll_deg, truth.pitch_deg), keep)
             if screen is None:
@@ -442,15 +445,16 @@ def _run_real_time(
             typer.echo(f"note: {refused}", err=True)
 
         def on_record(record: Record) -> bool:
+            keep = wishes.keep_series and record.tick % every == 0
             driver.after(record)
             log.record(record, daemon)
             programs.poll(daemon, record, clock.now_s())
             if truth is None:
-                journal.add(record, clock.now_s() - start_s, None, record.tick % every == 0)
+                journal.add(record, clock.now_s() - start_s, None, keep)
             else:
                 time_s, roll_deg, pitch_deg = truth()
                 planned.follow(time_s)
-                journal.add(record, time_s, (roll_deg, pitch_deg), record.tick % every == 0)
+                journal.add(record, time_s, (roll_deg, pitch_deg), keep)
             if screen is None:
                 printer.show(record, journal.last_time_s)
             elif record.tick % draw_every == 0:
