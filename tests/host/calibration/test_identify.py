@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING
+import sys
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -34,6 +35,13 @@ from tiger.rig.virtual import Rig
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+
+def tiger(monkeypatch: pytest.MonkeyPatch, *words: str) -> Any:
+    """Run a command line: the list of commands looks at the real one."""
+    monkeypatch.setattr(sys, "argv", ["tiger", *words])
+    return CliRunner().invoke(app, list(words))
+
 
 LEVEL_GROUND = Scenario(title="stands on level ground", duration_s=60.0, model="linear")
 READY_S, POSE_S = 3.0, 2.0
@@ -108,10 +116,12 @@ def test_what_the_poses_did_not_excite_is_named(moved: Path, robot: RobotConfig)
     assert "levelled itself" not in text
 
 
-def test_the_command_prints_a_table_and_writes_json_and_a_picture(moved: Path, tmp_path: Path) -> None:
+def test_the_command_prints_a_table_and_writes_json_and_a_picture(
+    moved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = tmp_path / "found.json"
-    result = CliRunner().invoke(
-        app, ["identify", str(moved), "--json", str(file), "--plots", str(tmp_path / "plots")]
+    result = tiger(
+        monkeypatch, "identify", str(moved), "--json", str(file), "--plots", str(tmp_path / "plots")
     )
     assert result.exit_code == 0, result.output
     assert "roll per roll" in result.output
@@ -122,16 +132,18 @@ def test_the_command_prints_a_table_and_writes_json_and_a_picture(moved: Path, t
     assert (tmp_path / "plots" / "identify.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_log_without_motion_gives_one_clear_message(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["identify", str(log_poses(tmp_path, []))])
+def test_a_log_without_motion_gives_one_clear_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = tiger(monkeypatch, "identify", str(log_poses(tmp_path, [])))
     assert result.exit_code == 2
     assert "no stroke moved" in result.output
     assert "docs/identify.md" in result.output
     assert len(result.output.splitlines()) == 1
 
 
-def test_a_missing_log_gives_one_clear_message(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["identify", str(tmp_path / "none.mcap")])
+def test_a_missing_log_gives_one_clear_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = tiger(monkeypatch, "identify", str(tmp_path / "none.mcap"))
     assert result.exit_code == 2
     assert "is not there" in result.output
 

@@ -240,9 +240,9 @@ def test_health_is_said_again_after_a_gap(run: Run, robot, tmp_path: Path) -> No
 def test_a_log_grows_in_parts_and_each_says_what_it_is_about(
     log_a_run: Callable[..., Run], tmp_path: Path
 ) -> None:
-    again = log_a_run(tmp_path, end_s=5.0, part_bytes=150_000)
+    again = log_a_run(tmp_path, end_s=5.0, part_bytes=90_000)
     log = open_log(tmp_path)
-    assert len(log.files) > 2
+    assert len(log.files) >= 2
     assert [record for _, record in log.records()] == again.records
     for i, file in enumerate(log.files):
         assert examine(file.path) == []
