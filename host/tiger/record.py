@@ -123,6 +123,72 @@ class Inputs:
 
 
 @dataclass(frozen=True, slots=True)
+class Odometry:
+    """Dead reckoning of the body's reference point, from where and how it stood at the start."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_rad: float = 0.0
+    covariance: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """Of x, y and yaw: xx, xy, x yaw, yy, y yaw, yaw yaw; m2, m rad, rad2."""
+    speed_mps: float = 0.0
+    speed_sigma_mps: float = 0.0
+    yaw_rate_radps: float = 0.0
+    distance_m: float = 0.0  # travelled, forwards or backwards
+    slip_ratio: Four = STILL  # (w r - v)/|v| of each wheel, 0 where it means nothing
+    slipping: tuple[bool, bool, bool, bool] = (False, False, False, False)  # too much for odometry
+    standing: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Loads:
+    """Who carries what. Forces along the body's z axis."""
+
+    wheel_load_n: Four = STILL
+    wheel_load_sigma_n: Four = STILL
+    hanging: tuple[bool, bool, bool, bool] = (False, False, False, False)
+    ground_warp_m: float = 0.0  # FL - FR - RL + RR of the ground's heights under the wheels
+    ground_warp_sigma_m: float = 0.0
+    mass_kg: float = 0.0  # of the whole robot
+    mass_sigma_kg: float = 0.0
+    com_m: Three = (0.0, 0.0, 0.0)  # of the whole robot's body, from the empty body's
+    com_sigma_m: Three = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Roughness:
+    """What kind of ground this is (ISO 8608)."""
+
+    index_m3: float = 0.0  # Gd(n0) at n0 = 0.1 cycles/m
+    class_number: int = -1  # 0 is A, 7 is H, -1 not known yet
+
+
+@dataclass(frozen=True, slots=True)
+class Stability:
+    """How far the robot is from tipping over, and what that allows."""
+
+    margin: float = 1.0  # energy to tip, least of the four edges, over that at rest on level ground
+    edge: int = 0  # the nearest: 0 left, 1 right, 2 front, 3 rear
+    lateral_load_transfer: float = 0.0  # (left - right)/all, -1 to 1
+    longitudinal_load_transfer: float = 0.0  # (front - rear)/all
+    time_to_balance_s: float = 1e3  # until the COM is over the edge, as it moves now; 1e3: never
+    warning: bool = False
+    tripped: bool = False  # an impact that turns the body
+    limited: int = 0  # bits: 1 speed, 2 curvature, 4 acceleration
+
+
+@dataclass(frozen=True, slots=True)
+class Traction:
+    """Forces asked of the four tyres and what they use."""
+
+    force_n: Four = STILL  # allocated, forward
+    torque_nm: Four = STILL  # measured
+    power_w: Four = STILL  # mechanical, measured
+    friction_use: Four = STILL  # force over load
+    trim_rpm: Four = STILL  # added to the wheel speeds
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """The observer's view of the body; `ready` before anything else in it means something."""
 
@@ -142,6 +208,10 @@ class Estimate:
     sigma_rad: float = 0.0  # standard deviation of the worse of roll and pitch
     speed_mps: float = 0.0  # odometry
     yaw_rate_radps: float = 0.0
+    odometry: Odometry = field(default_factory=Odometry)
+    loads: Loads = field(default_factory=Loads)
+    roughness: Roughness = field(default_factory=Roughness)
+    stability: Stability = field(default_factory=Stability)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +231,7 @@ class Outputs:
         False,
         False,
     )  # corners at the end of their stroke
+    traction: Traction = field(default_factory=Traction)
 
 
 class ProblemKind(StrEnum):

@@ -4,8 +4,8 @@
     state = initial_state(design)
     state, outputs = step(design, state, inputs, dt)
 
-No clock, no ports, no globals. Observer, suspension and drive are three modules; this file connects them and
-holds the table of modes.
+No clock, no ports, no globals. Observer, situation (odometry, loads, roughness), stability, suspension, drive
+and traction are modules; this file connects them and holds the table of modes.
 """
 
 from __future__ import annotations
@@ -16,11 +16,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiger.control import attitude, drive
+from tiger.control import attitude, drive, stability, traction
 from tiger.control.attitude import LevelingDesign, LevelingState, Target
 from tiger.control.drive import DriveDesign, DriveState
 from tiger.control.reachable import Pose
 from tiger.control.rhythm import Rhythm, followable, learn
+from tiger.control.stability import StabilityDesign, StabilityState
+from tiger.control.traction import TractionDesign, TractionState
+from tiger.daemon import situation
+from tiger.daemon.situation import SituationDesign, SituationState
 from tiger.estimation import attitude_observer as observer
 from tiger.estimation.attitude_observer import ObserverDesign, ObserverState
 from tiger.record import Command, Estimate, Inputs, Mode, Outputs
@@ -39,6 +43,9 @@ class ControllerDesign:
     observer: ObserverDesign
     leveling: LevelingDesign
     drive: DriveDesign
+    situation: SituationDesign
+    stability: StabilityDesign
+    traction: TractionDesign
     max_angle_rad: float
 
 
@@ -53,6 +60,9 @@ class ControllerState:
     """What was learned of the ground's rocking in roll and in pitch."""
     imu_t_s: float = -math.inf
     """Time of the IMU sample last used."""
+    situation: SituationState = field(default_factory=SituationState)
+    stability: StabilityState = field(default_factory=StabilityState)
+    traction: TractionState = field(default_factory=TractionState)
 
 
 def design_controller(robot: RobotConfig) -> ControllerDesign:
@@ -62,6 +72,9 @@ def design_controller(robot: RobotConfig) -> ControllerDesign:
         observer=observer.design_observer(robot),
         leveling=attitude.design_leveling(robot),
         drive=drive.design_drive(robot),
+        situation=situation.design_situation(robot),
+        stability=stability.design_stability(robot),
+        traction=traction.design_traction(robot),
         max_angle_rad=math.radians(robot.leveling.max_angle_deg),
     )
 
@@ -72,8 +85,19 @@ def initial_state(design: ControllerDesign) -> ControllerState:
 
 
 def rearmed(design: ControllerDesign, state: ControllerState) -> ControllerState:
-    """Return the state that an armed phase begins with: what is known of the body, and no command yet."""
-    return replace(initial_state(design), observer=state.observer, imu_t_s=state.imu_t_s)
+    """Return the state that an armed phase begins with: what is known of the robot, and no command yet."""
+    return _at_rest(state)
+
+
+def _at_rest(state: ControllerState) -> ControllerState:
+    """What is known of the robot and its ground, without anything that was being done about it."""
+    return ControllerState(
+        state.observer,
+        ground=state.ground,
+        imu_t_s=state.imu_t_s,
+        situation=state.situation,
+        stability=state.stability,
+    )
 
 
 def step(
@@ -82,20 +106,31 @@ def step(
     """Advance by `dt` seconds. Commands are zero unless armed, with strokes and an estimate to act on."""
     observed, estimate = _observe(design, state, inputs)
     imu_t_s = state.imu_t_s if inputs.imu is None else inputs.imu.t_s
-    strokes, command = inputs.strokes, inputs.command
+    state = replace(state, observer=observed, imu_t_s=imu_t_s)
+    strokes = inputs.strokes
     if strokes is None or not estimate.ready:
-        return ControllerState(observed, imu_t_s=imu_t_s), Outputs(estimate=estimate, reason="not ready")
+        return replace(_at_rest(state), ground=(Rhythm(), Rhythm())), Outputs(
+            estimate=estimate, reason="not ready"
+        )
     ground = (
         learn(state.ground[0], estimate.plate_roll_rad, estimate.plate_roll_rate_radps, dt),
         learn(state.ground[1], estimate.plate_pitch_rad, estimate.plate_pitch_rate_radps, dt),
     )
+    known, estimate = situation.step(design.situation, state.situation, inputs, estimate, dt)
+    steady, margins, command = stability.step(
+        design.stability, state.stability, inputs.command, inputs, estimate, dt
+    )
+    estimate = replace(estimate, stability=margins)
+    state = replace(state, ground=ground, situation=known, stability=steady)
     if not inputs.armed:
-        idle = ControllerState(observed, ground=ground, imu_t_s=imu_t_s)
-        return idle, Outputs(estimate=estimate, reason="not armed")
+        return _at_rest(state), Outputs(estimate=estimate, reason="not armed")
 
     target, reason = _target(design, command, _Known(estimate, ground))
     leveling, levelled = attitude.step(design.leveling, state.leveling, target, strokes.stroke_mm, dt)
     driving, wheel_rpm = drive.step(design.drive, state.drive, command, inputs, dt)
+    gripping, forces, wheel_rpm = traction.step(
+        design.traction, state.traction, wheel_rpm, inputs, estimate, dt
+    )
     unreachable = target is not None and target.unreachable
     outputs = Outputs(
         stroke_rate_mmps=levelled.command_mmps,
@@ -106,8 +141,9 @@ def step(
         settled=levelled.settled,
         unreachable=unreachable,
         at_limit=levelled.at_limit,
+        traction=forces,
     )
-    return ControllerState(observed, leveling, driving, ground, imu_t_s), outputs
+    return replace(state, leveling=leveling, drive=driving, traction=gripping), outputs
 
 
 def _observe(
