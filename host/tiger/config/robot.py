@@ -149,6 +149,7 @@ class SafetyConfig(_Section):
     wheel_age_ms: Annotated[float, Field(ge=20.0, le=500.0, strict=True)]
     roboteq_age_ms: Annotated[float, Field(ge=40.0, le=500.0, strict=True)]
     roboteq_watchdog_ms: Annotated[int, Field(ge=50, le=250, strict=True)]
+    roboteq_read_back: Annotated[bool, Field(strict=True)]
     max_rest_gyro_bias_degps: Positive
     max_rest_accel_offset_mps2: Positive
     max_neutral_speed_mps: NonNegative

@@ -174,7 +174,7 @@ class Daemon:
                 link.request(Disarm(node))
                 link.request(ClearFaults(node))
         for drive in self.drives:
-            drive.driver.clear_stop()
+            drive.driver.clear()
 
     # ----------------------------------------------------------------------------------------------- one tick
 
@@ -559,6 +559,7 @@ class Daemon:
                 drive.known,
                 rx_frames=driver.exchanges,
                 rejects=driver.garbled,
+                board_rejects=driver.changed_commands,
                 seq_gaps=driver.timeouts,
                 supply_v=drive.sample.battery_v if drive.sample else 0.0,
             )

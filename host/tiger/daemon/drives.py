@@ -17,8 +17,9 @@ class Drive:
     """One Roboteq and its port; channel 1 drives the front wheel of its side, channel 2 the rear one."""
 
     def __init__(self, side: str, path: str, ports: PortProvider, robot: RobotConfig) -> None:
+        safety, rate_hz = robot.safety, robot.loop.drive_rate_hz
         self.driver = Roboteq(
-            f"roboteq ({side})", path, robot.safety.roboteq_watchdog_ms, robot.loop.drive_rate_hz
+            f"roboteq ({side})", path, safety.roboteq_watchdog_ms, rate_hz, safety.roboteq_read_back
         )
         self.connection = Connection(ports, path, BAUD)
 

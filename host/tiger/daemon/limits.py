@@ -224,7 +224,9 @@ def _seen_on(session: Session, detail: int) -> str:
 
 
 def drive_faults(drive: Roboteq) -> Iterator[Problem]:
-    """What a Roboteq reports, an emergency stop excluded: that is a state of its own."""
+    """What a Roboteq reports, an emergency stop excluded: that is a state of its own; and its driver's fault."""
+    if drive.fault is not None:
+        yield drive.fault
     flags, front, rear = drive.flags["FF"] & _NOT_ESTOP, drive.flags["FM1"], drive.flags["FM2"]
     if not (flags or (front | rear) & _MOTOR_FAULTS):
         return

@@ -10,9 +10,10 @@ command makes BOTH run on at the speed they had. So the first command after any 
 both motors in one line that arrives whole or not at all, and no other speed is sent until zeros are confirmed
 and `release` was called again.
 
-The line has no checksum. So every query is asked twice in one write and a reading is used when both answers
-agree; a speed that jumps waits for the next reading to confirm it. A command that is echoed as another one is
-answered by `!M 0 0` at once, a second one within a second by holding the motors until the next `release`.
+The line has no checksum. So every query is asked three times in one write and a reading is what two answers
+agree on; a speed that jumps waits for the next reading to confirm it. A command is confirmed by its echo and
+by the speeds that the controller reads back (`?CIS`). One that became another is answered by `!M 0 0` at
+once, a second one within a second by a fault that holds the motors until `clear` and `release`.
 """
 
 from __future__ import annotations
@@ -28,14 +29,17 @@ from tiger.record import DriveSample, Problem, ProblemKind
 BAUD = 115_200
 DEADLINE_S = 0.020  # of one exchange
 LINE_LIMIT = 64
+ASKED = 3  # times that each query is asked in one write
 NO_ANSWER_AFTER_S = 1.0
 RETRY_S = 0.1  # pause between attempts to configure
 RPM_LIMIT = 65_000  # of !S
+FULL_SCALE = 1000  # of ?CIS: the controller's MXRPM
 GAP_SHARE = 0.95  # of the watchdog's time since the last confirmed command was sent counts as a gap
 SPEED_JUMP_RPM = 60  # a speed that jumps further between two readings is believed when the next one agrees
 CHANGED_AGAIN_S = 1.0  # two commands changed on the way within this time: stop for good
 STOP_BOTH = "!M 0 0"
-STALE_LINES = 8  # of abandoned exchanges, remembered for as long as their answers may come
+READ_BACK = "?CIS"
+STALE_LINES = 12  # of abandoned exchanges, remembered for as long as their answers may come
 RESYNC = "?\r"  # makes of half a line in the controller's buffer one that it refuses
 
 
@@ -77,6 +81,11 @@ class MotorFlag(IntFlag):
     AMPS_TRIGGER = 64
 
 
+CHANGED = "commands arrived as other ones"
+CHANGED_REMEDY = (
+    "Check its cable, shield and ground, and keep it away from the motors' wires; then clear and arm again. "
+    "If every speed does it, its firmware reads speeds back otherwise: roboteq_read_back = false in [safety]."
+)
 MOTOR_FAULTS = MotorFlag.STALLED | MotorFlag.LOOP_ERROR | MotorFlag.SAFETY_STOP
 
 REMEDY = {
@@ -129,13 +138,15 @@ _QUERIES = {
         _Query("FS", (1,), 0, 0xFFFF),
         _Query("FM", (2,), 0, 0xFFFF),
         _Query("T", (2, 3, 4), -60, 200, within=(1, 1, 1, 1)),
+        _Query("CIS", (2,), -FULL_SCALE, FULL_SCALE),
         _Query("RWD", (1,), 0, 65_000),
+        _Query("MXRPM", (2,), 10, RPM_LIMIT),
     )
 }
 # One of these follows the speeds in each cycle; the fault flags come every other time.
 _SLOW_QUERIES = ("FF", "A", "FF", "BA", "FF", "V", "FF", "FS", "FF", "FM", "FF", "T")
 _NUMBER = rb"(?:0|-?[1-9][0-9]{0,4})"  # as the controller writes it: no leading zero, no minus zero
-_ANSWER = re.compile(rb"([A-Z]{1,4})=(%b(?::%b){0,3})" % (_NUMBER, _NUMBER))
+_ANSWER = re.compile(rb"([A-Z]{1,5})=(%b(?::%b){0,3})" % (_NUMBER, _NUMBER))
 _SETTING = (b"!", b"^")
 _COMMAND_START = (*_SETTING, b"?", b"~")
 
@@ -156,6 +167,7 @@ class _Exchange:
         self._echoed = False
         self.answers: list[tuple[int, ...]] = []
         self.failed = False
+        self.refused = False
         self.wrong_echo = False
 
     @property
@@ -189,6 +201,7 @@ class _Exchange:
             values = _values(sent[1:].decode("ascii"), line)
             right = values is not None
             self.failed = not right
+            self.refused = line == b"-"
             if values is not None:
                 self.answers.append(values)
         if right:
@@ -208,32 +221,32 @@ def _values(name: str, line: bytes) -> tuple[int, ...] | None:
     return values if plausible else None
 
 
-def _agreed(
-    name: str, answers: list[tuple[int, ...]], last: tuple[int, ...] | None
-) -> tuple[int, ...] | None:
-    """One reading from the answers to a query asked twice, or None when they contradict each other.
+def _agreed(name: str, answers: list[tuple[int, ...]]) -> tuple[int, ...] | None:
+    """One reading from the answers to a query asked three times, or None when they contradict each other."""
+    if len({len(answer) for answer in answers}) > 1:
+        return None
+    columns = zip(*answers, _QUERIES[name].within[: len(answers[0])], strict=True)
+    values = [_two_of_three(*column) for column in columns]
+    return None if None in values else tuple(values)  # type: ignore[arg-type]
 
-    Of two values that differ within the permitted range, the one nearer to the `last` reading: it is more
-    often the undamaged one.
-    """
-    first, second = answers
-    if len(first) != len(second):
-        return None
-    within = _QUERIES[name].within[: len(first)]
-    if any(abs(a - b) > most for a, b, most in zip(first, second, within, strict=True)):
-        return None
-    if last is None or len(last) != len(second):
-        return second
-    return tuple(
-        a if abs(a - old) < abs(b - old) else b for a, b, old in zip(first, second, last, strict=True)
-    )
+
+def _two_of_three(a: int, b: int, c: int, within: int) -> int | None:
+    """What two say alike; of a value on the move the middle one, so that a damaged digit is outvoted."""
+    if b in (a, c):
+        return b
+    if a == c:
+        return a
+    low, middle, high = sorted((a, b, c))
+    return middle if high - low <= within else None
 
 
 class Roboteq:
     """One controller; see the module's text."""
 
-    def __init__(self, name: str, port: str, watchdog_ms: int, rate_hz: float) -> None:
-        """`name` and `port` are for messages; commands are refreshed at `rate_hz`."""
+    def __init__(
+        self, name: str, port: str, watchdog_ms: int, rate_hz: float, read_back: bool = True
+    ) -> None:
+        """`name` and `port` are for messages; commands are refreshed at `rate_hz`, and read back or not."""
         self.name = name
         self.port = port
         self.watchdog_ms = watchdog_ms
@@ -244,8 +257,10 @@ class Roboteq:
         self.wrong_echoes = 0
         self.garbled = 0  # lines that belonged to nothing
         self.gaps = 0  # times that a released drive lost its commands
-        self.contradictions = 0  # readings dropped because the two answers differed
-        self.changed_commands = 0  # speeds echoed as other ones, answered by a stop
+        self.contradictions = 0  # readings dropped because the answers differed
+        self.changed_commands = 0  # speeds that arrived as other ones, answered by a stop
+        self.fault: Problem | None = None  # why the motors are held until `clear`
+        self._read_back = read_back
         self._emergency = False  # asked for and not taken back; outlives a lost connection
         self.connected(-math.inf)
 
@@ -264,6 +279,7 @@ class Roboteq:
         self._retry_s = now_s
         self._wanted_rpm = (0, 0)
         self._sent_rpm = (0, 0)
+        self._full_scale_rpm = (RPM_LIMIT, RPM_LIMIT)
         self._confirmed_s = -math.inf
         self._heard_s = -math.inf
         self._motor_due_s = now_s
@@ -280,7 +296,8 @@ class Roboteq:
     @property
     def ready(self) -> bool:
         """Whether `release` would be obeyed: configured, zeros confirmed, speeds and flags known."""
-        return self.phase is Phase.HOLDING and self.sample is not None and self.problem is None
+        known = self.sample is not None and self.problem is None and self.fault is None
+        return self.phase is Phase.HOLDING and known
 
     @property
     def answering(self) -> bool:
@@ -305,7 +322,8 @@ class Roboteq:
     def command(self, front_rpm: float, rear_rpm: float) -> None:
         """Speeds of the two motors; without effect unless released."""
         if self.phase is Phase.RUNNING:
-            self._wanted_rpm = (_whole_rpm(front_rpm), _whole_rpm(rear_rpm))
+            front_most, rear_most = self._full_scale_rpm
+            self._wanted_rpm = (_whole_rpm(front_rpm, front_most), _whole_rpm(rear_rpm, rear_most))
 
     def emergency_stop(self) -> None:
         """Switch the power stage off (`!EX`) until `clear_stop`."""
@@ -314,8 +332,13 @@ class Roboteq:
         self._wanted_rpm = (0, 0)
         self._abandon()
 
-    def clear_stop(self) -> None:
-        """Take the emergency stop back (`!MG`) once zeros are confirmed; the motors stay at zero."""
+    def clear(self) -> None:
+        """Forget the fault, and take the emergency stop back (`!MG`) once zeros are confirmed.
+
+        The motors stay at zero.
+        """
+        self.fault = None
+        self._changed_s = -math.inf
         self._emergency = self._stop = False
         self._go = True
         if self.phase is Phase.STOPPED:
@@ -341,6 +364,8 @@ class Roboteq:
             self.wrong_echoes += exchange.wrong_echo
             if exchange.wrong_echo and exchange.lines[0].startswith("!S"):
                 self._changed(now_s)
+            if exchange.refused and self.phase is Phase.CONFIGURING:
+                self._unable(exchange.lines[0])
             self._failed(now_s)
         elif exchange.done:
             self._exchange = None
@@ -356,6 +381,9 @@ class Roboteq:
             self.phase, self._stop = Phase.STOPPED, False
         elif first == "!MG":
             self._go = False
+        elif first[:2] in ("!M", "!S") and not self._as_sent(exchange):
+            self._changed(now_s)
+            self._motor_due_s = now_s
         elif first == STOP_BOTH:
             self._quench = False
             self._confirmed_s = exchange.sent_s
@@ -368,15 +396,41 @@ class Roboteq:
         else:
             self._answered(first[1:], exchange.answers, now_s)
 
+    def _as_sent(self, exchange: _Exchange) -> bool:
+        """Whether the controller says that it was given the speeds that were sent."""
+        if not self._read_back:
+            return True
+        speeds = (0, 0) if exchange.lines[0] == STOP_BOTH else self._sent_rpm
+        return all(
+            abs(FULL_SCALE * rpm - given * most) < most
+            for rpm, given, most in zip(speeds, exchange.answers[0], self._full_scale_rpm, strict=True)
+        )
+
     def _changed(self, now_s: float) -> None:
         """A command may have arrived as another one: stop both motors now; if that repeats, for good."""
         self.changed_commands += 1
         self._quench = True
         if now_s - self._changed_s < CHANGED_AGAIN_S:
             self.hold()
+            where = f"{self.name} on {self.port}"
+            self.fault = Problem(ProblemKind.FAULT, where, CHANGED, CHANGED_REMEDY)
         self._changed_s = now_s
 
+    def _unable(self, line: str) -> None:
+        self.problem = Problem(
+            ProblemKind.REFUSED,
+            f"{self.name} on {self.port}",
+            f"does not answer {line}",
+            "Set roboteq_read_back = false under [safety], or renew its firmware.",
+        )
+
     def _configured(self, line: str, exchange: _Exchange, now_s: float) -> None:
+        if line.startswith("~") and len(set(exchange.answers)) > 1:
+            self._retry_s = now_s + RETRY_S
+            return
+        if line == "~MXRPM":
+            front_rpm, rear_rpm = exchange.answers[0]
+            self._full_scale_rpm = (front_rpm, rear_rpm)
         if line == "~RWD" and exchange.answers[0] != (self.watchdog_ms,):
             self._step = 0
             self._retry_s = now_s + RETRY_S
@@ -396,11 +450,12 @@ class Roboteq:
     @property
     def _configuration(self) -> tuple[str, ...]:
         first = "!EX" if self._emergency else STOP_BOTH
-        return (first, "^ECHOF 0", f"^RWD {self.watchdog_ms}", "~RWD")
+        scale = ("~MXRPM", READ_BACK) if self._read_back else ()
+        return (first, "^ECHOF 0", f"^RWD {self.watchdog_ms}", "~RWD", *scale)
 
     def _answered(self, name: str, answers: list[tuple[int, ...]], now_s: float) -> None:
         last = self.readings.get(name)
-        values = _agreed(name, answers, last)
+        values = _agreed(name, answers)
         if values is None:
             self.contradictions += 1
             return
@@ -454,18 +509,24 @@ class Roboteq:
     def _next(self, now_s: float) -> list[str]:
         """The lines to send now."""
         if self.phase is Phase.CONFIGURING:
-            return [self._configuration[self._step]] if now_s >= self._retry_s else []
+            return self._configuring() if now_s >= self._retry_s else []
         if self._stop:
             return ["!EX"]
+        read_back = [READ_BACK] if self._read_back else []
         if self._quench:
-            return [STOP_BOTH]
+            return [STOP_BOTH, *read_back]
         if now_s >= self._motor_due_s:
             self._plan_cycle(now_s)
             self._sent_rpm = self._wanted_rpm
-            return [f"!S {channel} {rpm}" for channel, rpm in enumerate(self._sent_rpm, start=1)]
+            speeds = [f"!S {channel} {rpm}" for channel, rpm in enumerate(self._sent_rpm, start=1)]
+            return speeds + read_back
         if self._go and self.phase is Phase.HOLDING:
             return ["!MG"]
-        return [f"?{self._queries.popleft()}"] * 2 if self._queries else []
+        return [f"?{self._queries.popleft()}"] * ASKED if self._queries else []
+
+    def _configuring(self) -> list[str]:
+        line = self._configuration[self._step]
+        return [line] * ASKED if line[0] in "~?" else [line]
 
     def _plan_cycle(self, now_s: float) -> None:
         """The next command comes a period later; until then there is time for two queries."""
@@ -512,5 +573,5 @@ def _near(speeds: tuple[int, ...], others: tuple[int, ...]) -> bool:
     return all(abs(a - b) <= SPEED_JUMP_RPM for a, b in zip(speeds, others, strict=True))
 
 
-def _whole_rpm(rpm: float) -> int:
-    return round(min(max(rpm, -RPM_LIMIT), RPM_LIMIT)) if math.isfinite(rpm) else 0
+def _whole_rpm(rpm: float, most: int) -> int:
+    return round(min(max(rpm, -most), most)) if math.isfinite(rpm) else 0

@@ -278,6 +278,11 @@ class Roboteq:
             return [120, round(10.0 * self.battery_v), 5000]
         if name == "S":
             return [round(speed) for speed in self._speed_rpm]
+        if name == "CIS":  # the speeds that it was given, 1/1000 of full scale
+            full_scale = self._settings["MXRPM"]
+            return [
+                round(1000.0 * rpm / most) for rpm, most in zip(self._command_rpm, full_scale, strict=True)
+            ]
         if name == "T":  # logic, two heat sinks
             return [32, 30, 30]
         if name == "FF":

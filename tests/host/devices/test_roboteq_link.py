@@ -210,6 +210,7 @@ class Ordeal:
         driver = self.driver
         if driver.phase is not Phase.RUNNING:
             if self._now_ms % 300 == 0:
+                driver.clear()
                 driver.release()
         elif self._now_ms % 50 == 0:
             driver.command(self.random.randint(-TOP_RPM, TOP_RPM), self.random.randint(-TOP_RPM, TOP_RPM))
