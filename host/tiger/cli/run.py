@@ -14,15 +14,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from tiger.config.robot import RobotConfig
     from tiger.daemon.clock import Clock, Lateness
     from tiger.daemon.daemon import Daemon
     from tiger.devices.ports import PortProvider
-    from tiger.emulation.scenarios import DriveEvent
+    from tiger.emulation.scenarios import Scenario
     from tiger.logs.session import LogSession
     from tiger.record import Record
+    from tiger.rig.separate import SeparateRobot
 
 SERIES_HZ = 100.0
 ARM_PATIENCE_S = 30.0
@@ -385,14 +384,9 @@ def _run_emulated(
     if wishes.duration_s is None:
         wishes.duration_s = scenario.duration_s
     with SeparateRobot(robot.vehicle, scenario_name, seed) as emulated:
-
-        def truth() -> tuple[float, float, float]:
-            now = emulated.truth()
-            return now.time_s, now.roll_deg, now.pitch_deg
-
         config = robot.model_copy(update={"ports": emulated.ports})
         title = f"TIGER, emulated: {scenario.title}"
-        return _run_real_time(config, wishes, title, emulated.clock, truth, emulated.begin, scenario.drive)
+        return _run_real_time(config, wishes, title, emulated.clock, emulated, scenario)
 
 
 def _run_hardware(robot: RobotConfig, wishes: Wishes) -> tuple[Journal, Lateness]:
@@ -406,14 +400,12 @@ def _run_real_time(
     wishes: Wishes,
     title: str,
     clock: Clock,
-    truth: Callable[[], tuple[float, float, float]] | None = None,
-    begin: Callable[[], None] = lambda: None,
-    plan: tuple[DriveEvent, ...] = (),
+    emulated: SeparateRobot | None = None,
+    scenario: Scenario | None = None,
 ) -> tuple[Journal, Lateness]:
     """Run the loop in this thread.
 
-    `truth` returns (time_s, roll_deg, pitch_deg) of an emulated world, whose time runs from `begin` on,
-    and `plan` is how it shall drive.
+    The time of an `emulated` robot begins with the loop, and `scenario` says how it drives.
     """
     from contextlib import nullcontext
 
@@ -436,7 +428,9 @@ def _run_real_time(
     log = _Log(wishes.log_folder, robot, clock)
     daemon = Daemon(robot, log.tap(SerialPorts()), clock, nonce=int(start_s * 1e3) & 0xFFFF)
     driver, journal, printer = _Driver(daemon, wishes), Journal(), _Printer()
-    planned = PlannedDrive(plan, daemon)
+    planned = None
+    if emulated is not None and scenario is not None:
+        planned = PlannedDrive(scenario, daemon, emulated.pose)
     programs = _Socket(robot, wishes)
     every = max(round(robot.loop.rate_hz / SERIES_HZ), 1)
     draw_every = max(round(robot.loop.rate_hz / 50.0), 1)
@@ -449,19 +443,21 @@ def _run_real_time(
             driver.after(record)
             log.record(record, daemon)
             programs.poll(daemon, record, clock.now_s())
-            if truth is None:
+            if emulated is None:
                 journal.add(record, clock.now_s() - start_s, None, keep)
             else:
-                time_s, roll_deg, pitch_deg = truth()
-                planned.follow(time_s)
-                journal.add(record, time_s, (roll_deg, pitch_deg), keep)
+                now = emulated.truth()
+                if planned is not None:
+                    planned.follow(now.time_s, record.outputs.estimate.odometry)
+                journal.add(record, now.time_s, (now.roll_deg, now.pitch_deg), keep)
             if screen is None:
                 printer.show(record, journal.last_time_s)
             elif record.tick % draw_every == 0:
                 return driver.press(screen.exchange(record, daemon.log_lines)) and not stop_asked
             return not stop_asked
 
-        begin()
+        if emulated is not None:
+            emulated.begin()
         try:
             lateness = loop.run(daemon, clock, on_record, wishes.duration_s)
         finally:

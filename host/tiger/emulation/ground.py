@@ -38,6 +38,8 @@ def make_terrain(config: TerrainConfig, half_track_m: float) -> Terrain:
         ground = ground.with_bump(**bump.model_dump())
     for step in config.step:
         ground = ground.with_plate(**step.model_dump())
+    for patch in config.slippery:
+        ground = ground.with_slippery(**patch.model_dump())
     return ground
 
 

@@ -44,6 +44,13 @@ A scenario is a TOML file, loaded by the name of one that comes with the package
     shortest_wave_m = 1.0
     seed = 1
 
+    [[terrain.slippery]]      # a patch of less friction; patches that overlap multiply
+    friction_factor = 0.2     # of the tyres' friction
+    start_m = 4.0             # from x = start_m over length_m
+    length_m = 3.0            # left out: without end
+    right_m = -1.0            # from y = right_m to left_m; left out: all the way
+    left_m = 1.0
+
     [terrain.road]            # a random road of ISO 8608 from x = 0, one profile under each wheel track
     roughness = "C"
     length_m = 100.0
@@ -53,6 +60,18 @@ A scenario is a TOML file, loaded by the name of one that comes with the package
     at_s = 5.0
     speed_mps = 0.5
     yaw_rate_degps = 0.0
+
+    [[waypoint]]              # or: places to drive to, one after the other, from route.at_s on
+    x_m = 5.0                 # in the world, as start
+    y_m = 0.0
+    speed_mps = 1.0           # on the way there
+
+    [route]                   # how the waypoints are followed
+    at_s = 5.0
+    laps = 1                  # once the last is reached, on to the first again
+    max_yaw_rate_degps = 30.0 # in bends it slows down rather than turn faster
+    lookahead_m = 1.2         # the point on the way that it steers at is so far ahead
+    steer_by = "truth"        # "odometry": by what the robot believes, which then shows in where it goes
 
     [[plate]]                 # a raised-cosine ramp from wherever the axis stands to `to_deg`, then held
     axis = "roll"             # roll (+ = left side up) or pitch (+ = nose down)
@@ -171,6 +190,25 @@ class StepConfig(BumpConfig):
     ramp_m: NonNegative = 0.1
 
 
+class SlipperyConfig(_Section):
+    """A rectangle where the tyres have only a part of their friction."""
+
+    friction_factor: Annotated[float, Field(gt=0.0, le=1.0, strict=True)]
+    start_m: Finite
+    length_m: Positive = FAR_M
+    right_m: Finite = -FAR_M
+    left_m: Finite = FAR_M
+
+    @model_validator(mode="after")
+    def _has_an_area(self) -> Self:
+        if self.right_m >= self.left_m:
+            raise ValueError(
+                f"right_m = {self.right_m:g} must be below left_m = {self.left_m:g}: y grows to the left; "
+                "exchange them"
+            )
+        return self
+
+
 class RoughConfig(_Section):
     """Isotropic rough ground of a class of ISO 8608."""
 
@@ -196,6 +234,7 @@ class TerrainConfig(_Section):
     twist_deg_per_m: Angle = 0.0
     bump: tuple[BumpConfig, ...] = ()
     step: tuple[StepConfig, ...] = ()
+    slippery: tuple[SlipperyConfig, ...] = ()
     rough: RoughConfig | None = None
     road: RoadConfig | None = None
 
@@ -212,6 +251,24 @@ class DriveEvent(_Section):
     at_s: NonNegative
     speed_mps: Finite = 0.0
     yaw_rate_degps: Finite = 0.0
+
+
+class Waypoint(_Section):
+    """A place to drive to."""
+
+    x_m: Finite
+    y_m: Finite
+    speed_mps: Positive
+
+
+class RouteConfig(_Section):
+    """How waypoints are followed."""
+
+    at_s: NonNegative = 5.0
+    laps: Annotated[int, Field(ge=1, strict=True)] = 1
+    lookahead_m: Annotated[float, Field(ge=0.3, le=20.0, strict=True)] = 1.2
+    max_yaw_rate_degps: Positive = 30.0
+    steer_by: Literal["truth", "odometry"] = "truth"
 
 
 class FaultEvent(_Section):
@@ -239,6 +296,8 @@ class Scenario(_Section):
     terrain: TerrainConfig = TerrainConfig()
     plate: tuple[PlateSegment, ...] = ()
     drive: tuple[DriveEvent, ...] = ()
+    waypoint: tuple[Waypoint, ...] = ()
+    route: RouteConfig = RouteConfig()
     fault: tuple[FaultEvent, ...] = ()
 
     @model_validator(mode="after")
@@ -255,11 +314,35 @@ class Scenario(_Section):
 
     @model_validator(mode="after")
     def _linear_model_stands(self) -> Self:
-        for name in ("friction", "soil", "start", "payload", "terrain"):
+        for name in ("friction", "soil", "start", "payload", "terrain", "waypoint"):
             if self.model == "linear" and getattr(self, name) != type(self).model_fields[name].default:
                 raise ValueError(
                     f'{name} means nothing to model = "linear", which stands on a plate; '
                     'leave it out, or use model = "vehicle"'
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _soil_has_its_own_friction(self) -> Self:
+        if self.soil is not None and self.terrain.slippery:
+            raise ValueError(
+                "[[terrain.slippery]] means nothing on loose ground, whose shear strength is the soil's; "
+                "leave out soil, or the patches"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _one_way_to_drive(self) -> Self:
+        if self.waypoint and self.drive:
+            raise ValueError(
+                "a scenario drives by [[drive]] or by [[waypoint]], not by both; remove one of them"
+            )
+        if not self.waypoint and self.route != RouteConfig():
+            raise ValueError("[route] says how waypoints are followed, and there are none: add [[waypoint]]")
+        for first, second in pairwise(self.waypoint):
+            if (first.x_m, first.y_m) == (second.x_m, second.y_m):
+                raise ValueError(
+                    f"two waypoints in a row are at ({first.x_m:g}, {first.y_m:g}) m; remove one of them"
                 )
         return self
 

@@ -1,9 +1,9 @@
-"""Ground to drive over: height and gradient at any place, as compiled code reads them.
+"""Ground to drive over: height, gradient and grip at any place, as compiled code reads them.
 
 A terrain is the sum of a plane (tilted, twisted), any number of features (bumps, plates) and a height field.
 All are functions of position, x forward and y left in metres, height z in metres, so that speed may vary and
 the ground's gradient, which pushes a wheel back, is at hand (erratum of eq. 5.4). Everything is smooth enough
-for a gradient to exist except the side edges of a feature with `edge_m` = 0.
+for a gradient to exist except the side edges of a feature with `edge_m` = 0. Patches scale the friction.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from tiger.models.jit import Record, Row, jit, record
 
 Array = NDArray[np.float64]
 
-BUMP, PLATE = 0, 1
+BUMP, PLATE, PATCH = 0, 1, 2
 
 FEATURE = np.dtype(
     [("kind", np.int64)]
-    + [(name, np.float64) for name in ("height", "start", "length", "ramp", "right", "left", "edge")]
+    + [(name, np.float64) for name in ("height", "start", "length", "ramp", "right", "left", "edge", "grip")]
 )
 GROUND = np.dtype(
     [(name, np.float64) for name in ("height", "slope_x", "slope_y", "twist", "x0", "y0", "dx", "dy")]
@@ -104,15 +104,19 @@ def _field(g: Row, heights: Array, x: float, y: float) -> tuple[float, float, fl
 @jit
 def ground_at(
     ground: Record, features: Record, heights: Array, x: float, y: float
-) -> tuple[float, float, float]:
-    """(height, d height/dx, d height/dy) of the terrain at one place."""
+) -> tuple[float, float, float, float]:
+    """(height, d height/dx, d height/dy, share of the friction) of the terrain at one place."""
     g = ground[0]
+    grip = 1.0
     height = g.height + x * (g.slope_x + y * g.twist) + y * g.slope_y
     slope_x = g.slope_x + y * g.twist
     slope_y = g.slope_y + x * g.twist
     for i in range(features.shape[0]):
         f = features[i]
         if f.start < x < f.start + f.length and f.right < y < f.left:
+            if f.kind == PATCH:
+                grip *= f.grip
+                continue
             if f.kind == BUMP:
                 phase = 2.0 * pi * (x - f.start) / f.length
                 along, along_slope = 0.5 * (1.0 - cos(phase)), pi / f.length * sin(phase)
@@ -127,13 +131,13 @@ def ground_at(
         height += h
         slope_x += hx
         slope_y += hy
-    return height, slope_x, slope_y
+    return height, slope_x, slope_y, grip
 
 
 @jit
 def _sample(ground: Record, features: Record, heights: Array, x: Array, y: Array, out: Array) -> None:
     for i in range(x.size):
-        out[0, i], out[1, i], out[2, i] = ground_at(ground, features, heights, x[i], y[i])
+        out[0, i], out[1, i], out[2, i], out[3, i] = ground_at(ground, features, heights, x[i], y[i])
 
 
 # ---- for people ------------
@@ -143,7 +147,8 @@ def _sample(ground: Record, features: Record, heights: Array, x: Array, y: Array
 class Feature:
     """A bump (one period of (1 - cos)/2) or a plate (flat, with smooth ramps) along x from `start_m`.
 
-    It lies at `right_m` < y < `left_m`, with smooth flanks of `edge_m` inside (0: sheer, no side push).
+    Or a patch, which scales the friction by `grip` and nothing else. It lies at `right_m` < y < `left_m`, with
+    smooth flanks of `edge_m` inside (0: sheer, no side push).
     """
 
     kind: int
@@ -154,6 +159,7 @@ class Feature:
     right_m: float = -inf
     left_m: float = inf
     edge_m: float = 0.0
+    grip: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -262,6 +268,19 @@ class Terrain:
         """Add a plate with smooth ramps of `ramp_m` at both ends; length inf makes it a single step."""
         return self._with(Feature(PLATE, height_m, start_m, length_m, ramp_m, right_m, left_m, edge_m))
 
+    def with_slippery(
+        self,
+        friction_factor: float,
+        start_m: float,
+        length_m: float = inf,
+        right_m: float = -inf,
+        left_m: float = inf,
+    ) -> Terrain:
+        """Scale the friction in a rectangle; where patches overlap their factors multiply."""
+        if not friction_factor > 0.0:
+            raise ValueError(f"friction_factor = {friction_factor} must be above 0: 0.05 is wet ice")
+        return self._with(Feature(PATCH, 0.0, start_m, length_m, 0.0, right_m, left_m, grip=friction_factor))
+
     def _with(self, feature: Feature) -> Terrain:
         if not feature.length_m > 0.0 or feature.ramp_m < 0.0 or feature.edge_m < 0.0:
             raise ValueError(f"{feature} must have a length above 0, and no negative ramp or edge")
@@ -283,7 +302,7 @@ class Terrain:
             },
         )
         rows = [
-            (f.kind, f.height_m, f.start_m, f.length_m, f.ramp_m, f.right_m, f.left_m, f.edge_m)
+            (f.kind, f.height_m, f.start_m, f.length_m, f.ramp_m, f.right_m, f.left_m, f.edge_m, f.grip)
             for f in self.features
         ]
         features = np.array(rows, FEATURE).view(type(ground))
@@ -291,10 +310,18 @@ class Terrain:
 
     def at(self, x_m: ArrayLike, y_m: ArrayLike) -> tuple[Array, Array, Array]:
         """Return height in m and the gradients dz/dx, dz/dy at each place; x and y broadcast."""
+        height, slope_x, slope_y, _ = self._sampled(x_m, y_m)
+        return height, slope_x, slope_y
+
+    def grip_at(self, x_m: ArrayLike, y_m: ArrayLike) -> Array:
+        """Return the share of the tyres' friction at each place; x and y broadcast."""
+        return self._sampled(x_m, y_m)[3]
+
+    def _sampled(self, x_m: ArrayLike, y_m: ArrayLike) -> Array:
         x, y = np.broadcast_arrays(np.asarray(x_m, float), np.asarray(y_m, float))
-        out = np.empty((3, x.size))
+        out = np.empty((4, x.size))
         _sample(*self.arrays(), x.ravel(), y.ravel(), out)
-        return out[0].reshape(x.shape), out[1].reshape(x.shape), out[2].reshape(x.shape)
+        return out.reshape(4, *x.shape)
 
 
 FLAT = Terrain()

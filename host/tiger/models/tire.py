@@ -87,16 +87,20 @@ def lateral_stiffness(t: Row, load: float) -> float:
 
 
 @jit
-def magic_formula(t: Row, load: float, kappa: float, tan_alpha: float) -> tuple[float, float]:
-    """(F_x, F_y) in N at a load > 0 in N and slips (eqs. 4.E9-4.E30 pure, 4.E50-4.E62 combined slip)."""
-    dfz = load_deviation(t, load)
+def magic_formula(t: Row, grip: float, load: float, kappa: float, tan_alpha: float) -> tuple[float, float]:
+    """(F_x, F_y) in N at a load > 0 in N and slips (eqs. 4.E9-4.E30 pure, 4.E50-4.E62 combined slip).
 
-    peak_x = (t.pdx1 + t.pdx2 * dfz) * t.friction * load
+    `grip` is the share of the tyre's friction that the ground gives.
+    """
+    dfz = load_deviation(t, load)
+    friction = grip * t.friction
+
+    peak_x = (t.pdx1 + t.pdx2 * dfz) * friction * load
     curvature_x = min(1.0, t.pex1 + dfz * (t.pex2 + dfz * t.pex3))
     slip_x = longitudinal_stiffness(t, load) / (t.pcx1 * peak_x) * kappa
     pure_x = peak_x * sin(t.pcx1 * atan(slip_x - curvature_x * (slip_x - atan(slip_x))))
 
-    peak_y = (t.pdy1 + t.pdy2 * dfz) * t.friction * load
+    peak_y = (t.pdy1 + t.pdy2 * dfz) * friction * load
     curvature_y = min(1.0, t.pey1 + t.pey2 * dfz)
     slip_y = lateral_stiffness(t, load) / (t.pcy1 * peak_y) * tan_alpha
     pure_y = peak_y * sin(t.pcy1 * atan(slip_y - curvature_y * (slip_y - atan(slip_y))))
@@ -127,6 +131,7 @@ def contact_slip_rates(
 @jit
 def contact_forces(
     t: Row,
+    grip: float,
     load: float,
     slip_speed: float,
     forward_speed: float,
@@ -144,14 +149,14 @@ def contact_forces(
         damping_alpha = -damping * side_speed / lateral_stiffness(t, load)
         kappa += min(max(damping_kappa, -t.slip_limit), t.slip_limit)
         tan_alpha += min(max(damping_alpha, -t.slip_limit), t.slip_limit)
-    return magic_formula(t, load, kappa, tan_alpha)
+    return magic_formula(t, grip, load, kappa, tan_alpha)
 
 
 @jit
 def _forces(tire: Record, load: Array, kappa: Array, tan_alpha: Array, forces: Array) -> None:
     for i in range(load.size):
         if load[i] > 0.0:
-            forces[0, i], forces[1, i] = magic_formula(tire[0], load[i], kappa[i], tan_alpha[i])
+            forces[0, i], forces[1, i] = magic_formula(tire[0], 1.0, load[i], kappa[i], tan_alpha[i])
 
 
 # ---- for people ------------

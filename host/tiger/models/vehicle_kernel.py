@@ -159,7 +159,7 @@ def derivative(
 
         # Tyre spring between ground and wheel, unilateral; its force is minus the gradient of its energy, so
         # that a slope pushes back (erratum of eq. 5.4) and a bump gives no energy away.
-        height, hx, hy = ground_at(ground, features, heights, cx, cy)
+        height, hx, hy, grip = ground_at(ground, features, heights, cx, cy)
         height += inputs[POST_AT + i] + lead * inputs[POST_RATE_AT + i]
         compression = height + v.free_radius[i] - cz
         sinkage = 0.0
@@ -195,7 +195,7 @@ def derivative(
             tire_fx, tire_fy = soil_forces(s, load, sinkage, kappa, tan_alpha)
             drag = compaction_resistance(s, sinkage) * rolling_direction(forward, t.rolling_threshold)
         else:
-            tire_fx, tire_fy = contact_forces(t, load, slip_speed, forward, sideways, kappa, tan_alpha)
+            tire_fx, tire_fy = contact_forces(t, grip, load, slip_speed, forward, sideways, kappa, tan_alpha)
 
         # Eq. 5.19 with its corrected signs; the motor's stator turns the body back (erratum 17).
         torque = _drive_torque(v, inputs[TORQUE_AT + i], inputs[SPEED_AT + i], spin - q)

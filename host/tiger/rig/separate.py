@@ -14,6 +14,7 @@ import contextlib
 import multiprocessing
 import tempfile
 import time
+from math import radians
 from multiprocessing.sharedctypes import RawArray, RawValue
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from multiprocessing.synchronize import Event
 
     from tiger.config.vehicle import VehicleConfig
+    from tiger.rig.planned_drive import Pose
 
 START_TIME_S = 300.0
 """The first start on a computer compiles the vehicle model."""
@@ -34,11 +36,14 @@ PAUSE_S = 0.001
 
 
 class SeparateTruth(NamedTuple):
-    """True attitude at a moment of virtual time."""
+    """True attitude and place at a moment of virtual time."""
 
     time_s: float
     roll_deg: float
     pitch_deg: float
+    x_m: float
+    y_m: float
+    yaw_deg: float
 
 
 class _Shared:
@@ -100,6 +105,11 @@ class SeparateRobot:
         """What the world really does."""
         return SeparateTruth(*self._shared.truth)
 
+    def pose(self) -> Pose:
+        """Where it really is."""
+        now = self.truth()
+        return now.x_m, now.y_m, radians(now.yaw_deg)
+
     def begin(self) -> None:
         """Let its time run; until then its lines are there and silent."""
         self._begin.set()
@@ -131,7 +141,8 @@ def _serve(
     def each_step(robot: EmulatedRobot) -> bool:
         now = robot.truth()
         shared.skipped_s.value = served.skipped_s
-        shared.truth[:] = (now.time_s, now.roll_deg, now.pitch_deg)
+        x_m, y_m, _ = now.position_m
+        shared.truth[:] = SeparateTruth(now.time_s, now.roll_deg, now.pitch_deg, x_m, y_m, now.yaw_deg)
         shared.began_s.value = served.began_s
         while time.monotonic() - shared.asked_s.value > HOST_STALLED_S:
             time.sleep(PAUSE_S)

@@ -7,13 +7,14 @@ for record in rig.run(60.0): ...
 
 from __future__ import annotations
 
+from math import radians
 from typing import TYPE_CHECKING
 
 from tiger.daemon.clock import VirtualClock
 from tiger.daemon.daemon import Daemon
 from tiger.emulation.cable import LineNoise
 from tiger.emulation.robot import STEP_US, EmulatedRobot
-from tiger.rig.planned_drive import PlannedDrive
+from tiger.rig.planned_drive import NOWHERE, PlannedDrive, Pose
 from tiger.rig.ports import EMULATED_PORTS, CablePorts
 
 if TYPE_CHECKING:
@@ -46,7 +47,8 @@ class Rig:
         self.robot = EmulatedRobot(config.vehicle, scenario, seed, noise)
         self.ports = CablePorts(self.robot.cables)
         self.daemon = Daemon(self.config, self.ports, self.clock, nonce=seed + 1)
-        self.drive = PlannedDrive(scenario.drive, self.daemon)
+        self.drive = PlannedDrive(scenario, self.daemon, self._true_pose)
+        self._believed = NOWHERE
         self.hung = False  # a daemon that hangs: time passes, nothing is read or written
         self._steps_per_tick = round(config.loop.period_s * 1e6 / STEP_US)
 
@@ -62,8 +64,15 @@ class Rig:
         self.clock.set(self.robot.time_s)
         if self.hung:
             return None
-        self.drive.follow(self.robot.time_s)
-        return self.daemon.tick(self.robot.time_s)
+        self.drive.follow(self.robot.time_s, self._believed)
+        record = self.daemon.tick(self.robot.time_s)
+        self._believed = record.outputs.estimate.odometry
+        return record
+
+    def _true_pose(self) -> Pose:
+        truth = self.robot.truth()
+        x, y, _ = truth.position_m
+        return x, y, radians(truth.yaw_deg)
 
     def run(self, duration_s: float) -> Iterator[Record]:
         """Yield the record of every tick for `duration_s` of virtual time."""

@@ -18,6 +18,8 @@ HEAD = 'title = "t"\nduration_s = 10.0\n'
 RAMP = '[[plate]]\naxis = "roll"\nat_s = 1.0\nto_deg = 4.0\nover_s = 2.0\n'
 HARMONIC = '[[plate]]\naxis = "pitch"\nat_s = 1.0\namplitude_deg = 2.0\nfrequency_hz = 0.5\n'
 DRIVE = "[[drive]]\nat_s = 5.0\nspeed_mps = 0.5\nyaw_rate_degps = 5.0\n"
+WAYPOINT = "[[waypoint]]\nx_m = 5.0\ny_m = 1.0\nspeed_mps = 0.5\n"
+PATCH = "[[terrain.slippery]]\nfriction_factor = 0.2\nstart_m = 2.0\nlength_m = 3.0\n"
 
 
 def write(tmp_path: Path, text: str) -> Path:
@@ -158,6 +160,13 @@ def test_terrain_scenarios_rest_before_they_drive_and_stop_before_they_end(name:
     assert last.at_s + 2.0 <= scenario.duration_s
 
 
+def test_a_slippery_patch_and_a_route_come_from_the_file(tmp_path: Path) -> None:
+    scenario = load_scenario(write(tmp_path, HEAD + WAYPOINT + PATCH))
+    assert scenario.waypoint[0].speed_mps == 0.5
+    assert (scenario.route.laps, scenario.route.steer_by) == (1, "truth")
+    assert make_terrain(scenario.terrain, 0.6).grip_at([1.0, 3.0], 0.0).tolist() == [1.0, 0.2]
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -195,6 +204,15 @@ def test_terrain_scenarios_rest_before_they_drive_and_stop_before_they_end(name:
             HEAD + HARMONIC + HARMONIC.replace("at_s = 1.0", "at_s = 9.0"),
             "the pitch segment at 9 s starts before the pitch segment at 1 s ends (inf s)",
         ),
+        (HEAD + DRIVE + WAYPOINT, "by [[drive]] or by [[waypoint]], not by both"),
+        (HEAD + WAYPOINT + WAYPOINT, "two waypoints in a row are at (5, 1) m"),
+        (HEAD + "[route]\nlaps = 2\n", "there are none: add [[waypoint]]"),
+        (HEAD + WAYPOINT + '[route]\nsteer_by = "stars"\n', "route.steer_by = 'stars'"),
+        (HEAD + WAYPOINT.replace("0.5", "0.0"), "waypoint.0.speed_mps = 0.0"),
+        (HEAD + 'model = "linear"\n' + WAYPOINT, "waypoint means nothing to model"),
+        (HEAD + PATCH.replace("0.2", "1.5"), "terrain.slippery.0.friction_factor = 1.5"),
+        (HEAD + PATCH + "right_m = 2.0\nleft_m = 1.0\n", "right_m = 2 must be below left_m = 1"),
+        (HEAD + 'soil = "dry-sand"\n' + PATCH, "means nothing on loose ground"),
         ("title = \n", "not valid TOML"),
     ],
 )

@@ -151,3 +151,21 @@ def test_unusable_height_field_is_refused(
 def test_bump_without_length_is_refused() -> None:
     with pytest.raises(ValueError, match="length"):
         Terrain().with_bump(0.1, 0.0, 0.0)
+
+
+def test_a_slippery_patch_takes_friction_where_it_lies_and_nothing_else() -> None:
+    ground = Terrain.slope(climb_deg=5.0).with_slippery(0.2, 2.0, 3.0, right_m=-1.0, left_m=1.0)
+    assert ground.grip_at([1.99, 2.01, 4.99, 5.01, 3.0], [0.0, 0.0, 0.0, 0.0, 1.01]).tolist() == [
+        *(1.0, 0.2, 0.2, 1.0, 1.0)
+    ]
+    assert np.array_equal(ground.at(3.0, 0.0), Terrain.slope(climb_deg=5.0).at(3.0, 0.0))
+
+
+def test_patches_that_overlap_multiply() -> None:
+    ground = FLAT.with_slippery(0.5, 0.0, 4.0).with_slippery(0.4, 2.0, 4.0)
+    assert ground.grip_at([1.0, 3.0, 5.0], 0.0) == pytest.approx([0.5, 0.2, 0.4])
+
+
+def test_a_patch_without_any_friction_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"friction_factor = 0.0 must be above 0: 0.05 is wet ice"):
+        FLAT.with_slippery(0.0, 0.0)

@@ -178,9 +178,9 @@ def test_sideways_slide_without_rolling_is_opposed_along_its_direction() -> None
 
 def test_tread_damping_acts_at_rest_and_has_faded_at_speed() -> None:
     row, fade = tire().parameters[0], SET.standstill.damping_fades_at_mps
-    at_rest = contact_forces(row, STATIC_LOAD_N, 0.01, 0.0, 0.0, 0.0, 0.0)[0]
+    at_rest = contact_forces(row, 1.0, STATIC_LOAD_N, 0.01, 0.0, 0.0, 0.0, 0.0)[0]
     assert at_rest == pytest.approx(SET.standstill.damping_nspm * 0.01, rel=1e-2)
-    assert contact_forces(row, STATIC_LOAD_N, 0.01, fade, 0.0, 0.0, 0.0) == (0.0, 0.0)
+    assert contact_forces(row, 1.0, STATIC_LOAD_N, 0.01, fade, 0.0, 0.0, 0.0) == (0.0, 0.0)
 
 
 @settings(deadline=None)
@@ -193,7 +193,7 @@ def test_contact_is_finite_everywhere(
     load: float, slip_speed: float, forward: float, side: float, kappa: float, tan_alpha: float
 ) -> None:
     row = tire().parameters[0]
-    assert np.isfinite(contact_forces(row, load, slip_speed, forward, side, kappa, tan_alpha)).all()
+    assert np.isfinite(contact_forces(row, 1.0, load, slip_speed, forward, side, kappa, tan_alpha)).all()
     assert np.isfinite(contact_slip_rates(row, slip_speed, forward, side, kappa, tan_alpha)).all()
 
 

@@ -583,3 +583,17 @@ def test_one_core_makes_a_hundred_thousand_steps_a_second(
     speed = 50_000 / (time.process_time() - start)
     record_figure("14-DOF Runge-Kutta steps per second of one core", speed, ">= 1e5")
     assert speed >= 1e5
+
+
+def test_a_wheel_on_a_slippery_patch_has_a_share_of_the_grip() -> None:
+    """All four spin: what pushes the robot is the friction of the ground under each wheel."""
+    pushes = []
+    for terrain in (Terrain(), Terrain().with_slippery(0.1, -5.0, 10.0, right_m=0.0)):
+        vehicle, inputs = Vehicle(load_vehicle("tiger"), terrain), Inputs()
+        state = vehicle.at_rest()
+        inputs.wheel_torque_nm[:] = 17.0
+        vehicle.step(state, inputs, steps=200)
+        pushes.append(vehicle.sense(state, inputs).wheel_force_n[0])
+    firm, slippery = pushes
+    assert slippery[[1, 3]] == pytest.approx(0.1 * firm[[1, 3]], rel=0.3)
+    assert slippery[[0, 2]] == pytest.approx(firm[[0, 2]], rel=0.3)
