@@ -184,6 +184,7 @@ class Traction:
     force_n: Four = STILL  # allocated, forward
     torque_nm: Four = STILL  # measured
     power_w: Four = STILL  # mechanical, measured
+    electric_w: Four = STILL  # battery voltage times battery current
     friction_use: Four = STILL  # force over load
     trim_rpm: Four = STILL  # added to the wheel speeds
 

@@ -135,6 +135,24 @@ class DriveControlConfig(_Section):
     wheel_trim_max_rpm: NonNegative
 
 
+class TractionConfig(_Section):
+    """Forces over the four tyres, carried out as trims of the wheel speeds."""
+
+    mode: Literal["off", "on", "log"]
+    share: Literal["load", "equal"]
+    friction: Positive
+    min_load_n: Positive
+    torque_share_max: Annotated[float, Field(gt=0.0, le=1.0, strict=True)]
+    battery_power_w: Positive
+    slip_max: Positive
+    slip_margin_mps: Positive
+    torque_gain_rpm_per_nms: NonNegative
+    slip_gain_per_s: NonNegative
+    forget_per_s: NonNegative
+    release_per_s: Positive
+    trim_max_rpm: NonNegative
+
+
 class SafetyConfig(_Section):
     """Limits that the supervisor watches; what each does is a row of its table."""
 
@@ -173,6 +191,7 @@ class RobotConfig(_Section):
     observer: ObserverConfig
     leveling: LevelingConfig
     drive: DriveControlConfig
+    traction: TractionConfig
     safety: SafetyConfig
 
     @property
