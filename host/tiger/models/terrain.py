@@ -147,8 +147,8 @@ def _sample(ground: Record, features: Record, heights: Array, x: Array, y: Array
 class Feature:
     """A bump (one period of (1 - cos)/2) or a plate (flat, with smooth ramps) along x from `start_m`.
 
-    Or a patch, which scales the friction by `grip` and nothing else. It lies at `right_m` < y < `left_m`, with
-    smooth flanks of `edge_m` inside (0: sheer, no side push).
+    Or a patch, which scales the friction by `grip` and does no more. It lies at `right_m` < y < `left_m`,
+    with smooth flanks of `edge_m` inside (0: sheer, no side push).
     """
 
     kind: int
@@ -321,7 +321,7 @@ class Terrain:
         x, y = np.broadcast_arrays(np.asarray(x_m, float), np.asarray(y_m, float))
         out = np.empty((4, x.size))
         _sample(*self.arrays(), x.ravel(), y.ravel(), out)
-        return out.reshape(4, *x.shape)
+        return np.asarray(out.reshape(4, *x.shape))
 
 
 FLAT = Terrain()

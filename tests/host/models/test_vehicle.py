@@ -586,14 +586,12 @@ def test_one_core_makes_a_hundred_thousand_steps_a_second(
 
 
 def test_a_wheel_on_a_slippery_patch_has_a_share_of_the_grip() -> None:
-    """All four spin: what pushes the robot is the friction of the ground under each wheel."""
-    pushes = []
-    for terrain in (Terrain(), Terrain().with_slippery(0.1, -5.0, 10.0, right_m=0.0)):
-        vehicle, inputs = Vehicle(load_vehicle("tiger"), terrain), Inputs()
-        state = vehicle.at_rest()
-        inputs.wheel_torque_nm[:] = 17.0
-        vehicle.step(state, inputs, steps=200)
-        pushes.append(vehicle.sense(state, inputs).wheel_force_n[0])
-    firm, slippery = pushes
-    assert slippery[[1, 3]] == pytest.approx(0.1 * firm[[1, 3]], rel=0.3)
-    assert slippery[[0, 2]] == pytest.approx(firm[[0, 2]], rel=0.3)
+    """Under full torque the left wheels spin at the patch's friction, the right ones push as ever."""
+    vehicle = Vehicle(load_vehicle("tiger"), Terrain().with_slippery(0.1, -5.0, 10.0, right_m=0.0))
+    state, inputs = vehicle.at_rest(), Inputs()
+    inputs.wheel_torque_nm[:] = 17.0
+    vehicle.step(state, inputs, steps=200)
+    readings = vehicle.sense(state, inputs)
+    use = readings.wheel_force_n[0] / readings.wheel_load_n
+    assert use[[0, 2]] == pytest.approx(0.1, rel=0.2)
+    assert use[[1, 3]] == pytest.approx(0.42, rel=0.2)
