@@ -3,7 +3,6 @@
     daemon = Daemon(robot, ports, clock)
     daemon.arm()
     record = daemon.tick(now_s)          # every control period: read, decide, compute, write
-    daemon.receive(now_s)                # in between, whenever bytes have arrived
 
 It has no clock and no thread of its own: `loop.py` runs it in real time, the rig in virtual time.
 """
@@ -178,7 +177,7 @@ class Daemon:
 
     # ----------------------------------------------------------------------------------------------- one tick
 
-    def receive(self, now_s: float) -> None:
+    def _receive(self, now_s: float) -> None:
         """Take what has arrived on every port."""
         for event in self.boards.receive(now_s):
             self._on(event)
@@ -189,7 +188,7 @@ class Daemon:
         """One control period: read, decide, compute, write. `lateness_s` is only recorded."""
         if self._housekeeping_due or self._tick % self._housekeeping_every == 0:
             self._housekeeping(now_s)
-        self.receive(now_s)
+        self._receive(now_s)
         for event in self.boards.poll(now_s):
             self._on(event)
         inputs = self._inputs(now_s)
@@ -487,10 +486,6 @@ class Daemon:
         for drive, (front_rpm, rear_rpm) in zip(self.drives, ((fl, rl), (fr, rr)), strict=False):
             drive.driver.command(front_rpm, rear_rpm)
         self.boards.send(self._clock.now_s())
-        self.send_drives()
-
-    def send_drives(self) -> None:
-        """Write what is due to the drives; as they answer one question at a time, also between ticks."""
         for drive in self.drives:
             drive.send(self._clock.now_s())
 
