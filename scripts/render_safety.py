@@ -9,9 +9,19 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from tiger.config.robot import load_robot
-from tiger.daemon.limits import LIMITS
+from tiger.config.robot import SafetyConfig, load_robot
+from tiger.daemon.limits import LIMITS, Limit
 from tiger.daemon.supervisor import TABLE
+from tiger.devices.roboteq import (
+    CHANGED,
+    CHANGED_REMEDY,
+    MOTOR_FAULTS,
+    MOTOR_REMEDY,
+    REMEDY,
+    FaultFlag,
+    MotorFlag,
+    decode_flags,
+)
 from tiger.protocol.messages import FAULT_INFO
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "safety.md"
@@ -46,6 +56,14 @@ def table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
+def action(limit: Limit, safety: SafetyConfig) -> str:
+    """What an exceeded limit does to an armed robot."""
+    if limit.patience == 1.0:
+        return "stops"
+    stops = f"stops from {limit.patience * limit.most(safety):g} on"
+    return f"strokes hold still until it is back; {stops}" if limit.holds else stops
+
+
 def page() -> str:
     """Return the whole page."""
     safety = load_robot(None).safety
@@ -54,10 +72,16 @@ def page() -> str:
             limit.where,
             limit.what.replace("{:.0f}", "…").replace("{:.1f}", "…"),
             f"{'at least' if limit.sign < 0 else 'at most'} {limit.most(safety):g}",
+            action(limit, safety),
             limit.next_step,
         )
         for limit in LIMITS
     ]
+    low_v = f"at least {safety.battery_low_v:g}"
+    limits.append(("battery", "voltage is … V", low_v, "is shown", "Charge it soon."))
+    drive_faults = [(f"{decode_flags(flag, FaultFlag)[0]} (?FF)", text) for flag, text in REMEDY.items()]
+    drive_faults += [(f"motor {name} (?FM)", MOTOR_REMEDY) for name in decode_flags(MOTOR_FAULTS, MotorFlag)]
+    drive_faults.append((f"{CHANGED}, twice within a second", CHANGED_REMEDY))
     states = [(row.state.name, row.reason, row.next_state.name) for row in TABLE]
     faults = [
         (
@@ -72,14 +96,18 @@ def page() -> str:
     return "\n".join(
         (
             HEAD,
-            "## Limits the daemon watches\n\nValues are the defaults of `[safety]` in robot.toml. A limit that is "
-            "exceeded while the robot is armed stops it;\nbefore, it keeps it from being armed.\n",
-            table(("where", "measurement", "limit", "next step"), limits),
+            "## Limits the daemon watches\n\nValues are the defaults of `[safety]` in robot.toml. The action is that "
+            "of an armed robot; before, the limit itself\nkeeps it from being armed. **Stops**: strokes, wheels and "
+            "outputs, latched as FAULT until a person clears it.\n",
+            table(("where", "measurement", "limit", "action", "next step"), limits),
             "## States of the daemon\n\nRows are tried from the top; the first whose condition holds is taken.\n",
             table(("state", "when", "next"), states),
             "## Faults of the boards\n\n`until_disarm`: DISARM clears it. `until_cleared`: CLEAR_FAULTS clears it "
             "once its cause is gone. `until_reset`: only a\nreset of the board does.\n",
             table(("fault", "boards", "what", "permanence", "remedy"), faults),
+            "## Faults of the drive controllers\n\nEach stops the robot and is latched until it is cleared, its cause "
+            "gone. Bits without a name are shown by their\nnumber; `emergency stop` is the state ESTOP.\n",
+            table(("fault of a Roboteq", "remedy"), drive_faults),
         )
     )
 

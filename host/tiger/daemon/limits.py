@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from tiger.devices.roboteq import MOTOR_FAULTS, REMEDY, FaultFlag, MotorFlag, decode_flags
+from tiger.devices.roboteq import MOTOR_FAULTS, MOTOR_REMEDY, REMEDY, FaultFlag, MotorFlag, decode_flags
 from tiger.protocol.messages import FAULT_INFO, BoardKind, Fault, ImuFlag
 from tiger.record import Problem, ProblemKind
 
@@ -38,6 +38,7 @@ class Limit:
     next_step: str
     sign: float = 1.0  # -1: the limit is the least, not the most
     patience: float = 1.0  # while armed, the robot is stopped at this multiple of the limit
+    holds: bool = False  # while armed, the strokes hold still from the limit on: see `is_late`
 
     def exceeded(
         self, safety: SafetyConfig, inputs: Inputs, estimate: Estimate, is_armed: bool = False
@@ -99,6 +100,7 @@ LIMITS = (
         lambda s: s.imu_age_ms,
         _CABLE,
         patience=LATE_PATIENCE,
+        holds=True,
     ),
     Limit(
         "mega_suspension",
@@ -107,6 +109,7 @@ LIMITS = (
         lambda s: s.stroke_age_ms,
         _CABLE,
         patience=LATE_PATIENCE,
+        holds=True,
     ),
     Limit(
         "mega_speed (left)",
@@ -224,7 +227,7 @@ def _seen_on(session: Session, detail: int) -> str:
 
 
 def drive_faults(drive: Roboteq) -> Iterator[Problem]:
-    """What a Roboteq reports, an emergency stop excluded: that is a state of its own; and its driver's fault."""
+    """What a Roboteq and its driver report, an emergency stop excluded: that is a state of its own."""
     if drive.fault is not None:
         yield drive.fault
     flags, front, rear = drive.flags["FF"] & _NOT_ESTOP, drive.flags["FM1"], drive.flags["FM2"]
@@ -236,7 +239,7 @@ def drive_faults(drive: Roboteq) -> Iterator[Problem]:
         yield Problem(ProblemKind.FAULT, where, name, remedy or "Look it up in the controller's manual.")
     for place, motor_flags in (("front", front), ("rear", rear)):
         for _, name in _named(motor_flags & _MOTOR_FAULTS, MotorFlag):
-            yield Problem(ProblemKind.FAULT, where, f"{place} motor: {name}", "Check for a blocked wheel.")
+            yield Problem(ProblemKind.FAULT, where, f"{place} motor: {name}", MOTOR_REMEDY)
 
 
 _DRIVE_FAULTS = frozenset(flag.value for flag in FaultFlag)

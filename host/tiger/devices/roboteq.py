@@ -87,6 +87,7 @@ CHANGED_REMEDY = (
     "If every speed does it, its firmware reads speeds back otherwise: roboteq_read_back = false in [safety]."
 )
 MOTOR_FAULTS = MotorFlag.STALLED | MotorFlag.LOOP_ERROR | MotorFlag.SAFETY_STOP
+MOTOR_REMEDY = "Check for a blocked wheel."
 
 REMEDY = {
     FaultFlag.OVERHEAT: "Let it cool.",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import pytest
 
@@ -182,6 +183,13 @@ def test_a_wish_to_arm_that_cannot_be_fulfilled_ends_with_the_reason(robot: Robo
 # ------------------------------------------------------------------------------------------ wrong while armed
 
 
+def _change_commands(robot: Any) -> None:
+    """Let every speed of the left front wheel arrive as another one."""
+    drive = robot.drives["left"]
+    hear = drive.receive
+    drive.receive = lambda data: hear(data.replace(b"!S 1 1", b"!S 1 9"))
+
+
 @pytest.mark.parametrize(
     ("break_it", "state", "words"),
     [
@@ -189,8 +197,13 @@ def test_a_wish_to_arm_that_cannot_be_fulfilled_ends_with_the_reason(robot: Robo
         (lambda r: setattr(r.drives["left"], "silent", True), DaemonState.FAULT, "roboteq (left)"),
         (lambda r: setattr(r.drives["left"], "fault_flags", 4), DaemonState.FAULT, "undervoltage"),
         (lambda r: setattr(r, "nano_wire_cut", True), DaemonState.FAULT, "nano_imu"),
+        (
+            _change_commands,
+            DaemonState.FAULT,
+            "roboteq (left) on roboteq_left: commands arrived as other ones",
+        ),
     ],
-    ids=["suspension silent", "roboteq silent", "roboteq fault", "nano wire"],
+    ids=["suspension silent", "roboteq silent", "roboteq fault", "nano wire", "roboteq line"],
 )
 def test_what_breaks_while_armed_stops_and_stays_stopped(
     robot: RobotConfig, break_it: Callable[[object], None], state: DaemonState, words: str
@@ -209,6 +222,7 @@ def test_what_breaks_while_armed_stops_and_stays_stopped(
         cable.is_silent = False
     rig.robot.nano_wire_cut = rig.robot.drives["left"].silent = False
     rig.robot.drives["left"].fault_flags = 0
+    vars(rig.robot.drives["left"]).pop("receive", None)
     assert run(rig, 1.0).state is state
     assert max(map(abs, rig.robot.truth().wheel_speed_rpm)) < 1.0
     # Cleared and armed again it works as before, from zero.

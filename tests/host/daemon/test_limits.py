@@ -112,6 +112,22 @@ def test_late_samples_hold_first_and_stop_when_they_stay_late(robot: RobotConfig
     assert bool(found(robot, inputs, armed=True)) == (age_ms > 240)
 
 
+def test_the_rows_that_hold_are_those_that_do(robot: RobotConfig) -> None:
+    late = {
+        "nano_imu": replace(GOOD, imu=replace(IMU, t_s=NOW_S - 0.1)),
+        "mega_suspension": replace(
+            GOOD, strokes=StrokeSample(NOW_S - 0.1, (35.0,) * 4, (0.0,) * 4, (0,) * 4, 0)
+        ),
+        "mega_speed (left)": replace(GOOD, wheels_left=replace(WHEELS, t_s=NOW_S - 0.2)),
+        "roboteq (right)": replace(GOOD, drive_right=replace(DRIVE, t_s=NOW_S - 0.2)),
+    }
+    for limit in LIMITS:
+        if limit.where in late:
+            assert limits.is_late(robot.safety, late[limit.where]) == limit.holds
+        else:
+            assert not limit.holds
+
+
 def test_late_strokes_hold_too(robot: RobotConfig) -> None:
     assert limits.is_late(robot.safety, replace(GOOD, strokes=None))
     assert GOOD.strokes is not None
