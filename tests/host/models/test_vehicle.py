@@ -593,5 +593,6 @@ def test_a_wheel_on_a_slippery_patch_has_a_share_of_the_grip() -> None:
     vehicle.step(state, inputs, steps=200)
     readings = vehicle.sense(state, inputs)
     use = readings.wheel_force_n[0] / readings.wheel_load_n
-    assert use[[0, 2]] == pytest.approx(0.1, rel=0.2)
+    assert (use[[0, 2]] > 0.04).all()  # a tyre that spins is beyond the peak of its grip
+    assert (use[[0, 2]] < 0.11).all()
     assert use[[1, 3]] == pytest.approx(0.42, rel=0.2)
