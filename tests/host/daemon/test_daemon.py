@@ -200,7 +200,7 @@ def _change_commands(robot: Any) -> None:
         (
             _change_commands,
             DaemonState.FAULT,
-            "roboteq (left) on roboteq_left: commands arrived as other ones",
+            "roboteq (left) on /emulated/roboteq-left: commands arrived as",
         ),
     ],
     ids=["suspension silent", "roboteq silent", "roboteq fault", "nano wire", "roboteq line"],
