@@ -33,6 +33,7 @@ class Mode(StrEnum):
 
     HOLD = "hold"  # no stroke moves
     LEVEL = "level"  # roll and pitch are those of the command, against gravity
+    BALANCE = "balance"  # as level, and all four wheels carry their share
     POSE = "pose"  # roll, pitch and ride height are those of the command, against the wheels
     STOW = "stow"  # as low as it goes
 
@@ -163,6 +164,16 @@ class Roughness:
     class_number: int = -1  # 0 is A, 7 is H, -1 not known yet
 
 
+class LimitCause(IntEnum):
+    """Why motion is limited: what would come of the command otherwise."""
+
+    NOTHING = 0  # it is not
+    TURN = 1  # tipping in the turn
+    SLOPE = 2  # tipping on the slope
+    BRAKING = 3  # tipping when braking or speeding up
+    TRIP = 4  # it has run into something
+
+
 @dataclass(frozen=True, slots=True)
 class Stability:
     """How far the robot is from tipping over, and what that allows."""
@@ -175,6 +186,7 @@ class Stability:
     warning: bool = False
     tripped: bool = False  # an impact that turns the body
     limited: int = 0  # bits: 1 speed, 2 curvature, 4 acceleration
+    cause: LimitCause = LimitCause.NOTHING
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +198,7 @@ class Traction:
     power_w: Four = STILL  # mechanical, measured
     electric_w: Four = STILL  # battery voltage times battery current
     friction_use: Four = STILL  # force over load
+    friction: float = 0.0  # the most of it there is, as far as known
     trim_rpm: Four = STILL  # added to the wheel speeds
 
 

@@ -141,6 +141,7 @@ class TractionConfig(_Section):
     mode: Literal["off", "on", "log"]
     share: Literal["load", "equal"]
     friction: Positive
+    friction_gain_per_s: NonNegative
     min_load_n: Positive
     torque_share_max: Annotated[float, Field(gt=0.0, le=1.0, strict=True)]
     battery_power_w: Positive
@@ -151,6 +152,65 @@ class TractionConfig(_Section):
     forget_per_s: NonNegative
     release_per_s: Positive
     trim_max_rpm: NonNegative
+
+
+class StabilityConfig(_Section):
+    """Warning of and protection from tipping over."""
+
+    limiter: Literal["off", "on", "log"]
+    load_transfer_max: Annotated[float, Field(gt=0.0, lt=1.0, strict=True)]
+    friction_max: Positive
+    brake_min_mps2: Positive
+    crawl_mps: Positive
+    foresight_s: Positive
+    trend_s: Positive
+    smooth_s: Positive
+    upright_s: Positive
+    slope_s: Positive
+    warning_margin: Annotated[float, Field(gt=0.0, lt=1.0, strict=True)]
+    warning_time_s: Positive
+    warning_hold_s: Positive
+    trip_mean_s: Positive
+    trip_blow_s: Positive
+    trip_blow_mps: Positive
+    trip_hold_s: Positive
+
+
+class ContactConfig(_Section):
+    """What `estimation.contact` and `ground_track` expect of ground and measurements."""
+
+    period_s: Annotated[float, Field(ge=0.05, le=0.5, strict=True)]
+    expected_twist_mm: Positive
+    attitude_noise_deg: Positive
+    slope_drift_deg: Positive
+    slope_per_metre_deg: Positive
+    grip_max: Positive
+    push_noise_mm: Positive
+    fade_m: Positive
+    track_length_m: Positive
+    track_bend_m: Positive
+    track_noise_mm: Positive
+    track_attitude_noise_deg: Positive
+    track_sigma_mm: Positive
+    track_fade_deg: Positive
+
+
+class BalanceConfig(_Section):
+    """Mode `balance`."""
+
+    probe_mm: Positive
+    settle_mm: Positive
+    wake_mm: Positive
+    sure: Annotated[float, Field(gt=0.5, lt=1.0, strict=True)]
+
+    @model_validator(mode="after")
+    def _hysteresis(self) -> BalanceConfig:
+        if self.settle_mm >= self.wake_mm:
+            raise ValueError(
+                f"settle_mm = {self.settle_mm} must be below wake_mm = {self.wake_mm}, or the robot hunts: "
+                "lower it"
+            )
+        return self
 
 
 class SafetyConfig(_Section):
@@ -190,8 +250,11 @@ class RobotConfig(_Section):
     loop: LoopConfig
     observer: ObserverConfig
     leveling: LevelingConfig
+    contact: ContactConfig
+    balance: BalanceConfig
     drive: DriveControlConfig
     traction: TractionConfig
+    stability: StabilityConfig
     safety: SafetyConfig
 
     @property

@@ -14,19 +14,24 @@ The share is a quadratic programme of the four forces f_i,
                 |sum v_i f_i| <= battery's power
 
 whose first line is the power lost in slip where slip grows with f/(mu N): its minimum uses the same part of
-the friction everywhere. `share = "equal"` leaves the friction out of it, which makes of each side an open
-differential. A speed that a wheel slips at beyond its limit is taken back by the same integral, and no trim
-drives a wheel out of its slip limits, so that a host that stops here leaves nothing but four steady speeds.
+the friction everywhere. Both wishes are heavy weights, not constraints: f = 0 is always feasible. The
+sideways force is known, so the ellipse is an interval for f_i. `share = "equal"` leaves friction out of it,
+which makes of each side an open differential.
+
+What a wheel slips beyond its limit the same integral takes back, and no trim drives a wheel out of its slip
+limits: a host that stops here leaves four bounded, steady speeds. The friction is the config's, raised to
+what wheels that hold have shown to use and lowered to what is left to wheels that slip.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tiger.control.drive import design_drive
 from tiger.models.full_car import GRAVITY_MPS2
 from tiger.models.sensors.motor_current import MotorCurrent
 from tiger.record import STILL, Traction
@@ -47,6 +52,8 @@ _DRAG_SPEED_RADPS = 0.5  # the motor's own friction is all there from here on
 _FORCE_UNIT_N = 100.0  # numbers of the programme are near one
 _WEIGHT = 1e4  # of the demand, over the cost of slip
 _SNAP_RPM = 0.05  # a trim below this is none
+_LEAST_SHARE = 0.5  # of the config's friction, however much the wheels slip
+_TELLING_LOAD = 0.5  # of the mean one: below, a wheel's use of friction is mostly noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +66,7 @@ class TractionDesign:
     radius_m: float
     half_track_m: float
     torque_max_nm: float
+    rpm_max: float
     static_load_n: Four
     demand: Array
     """Share of each force in the pull and, over the half track, in the moment, (2, 4)."""
@@ -70,7 +78,8 @@ class TractionState:
     """What a tick leaves to the next."""
 
     ticks: int = 0  # since the last update
-    last: Traction = Traction()
+    friction: float = 0.0  # over the config's
+    last: Traction = field(default_factory=Traction)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +89,7 @@ class Task:
     pull_n: float
     moment_nm: float  # + turns left
     load_n: Four
+    friction: float
     side_use: float  # sideways force over load, the same for all
     speed_mps: Four  # of the wheels' rims
 
@@ -89,7 +99,9 @@ def design_traction(robot: RobotConfig) -> TractionDesign:
     config, vehicle, body = robot.traction, robot.vehicle, robot.vehicle.body
     solve = None
     if config.mode != "off":
-        from daqp import solve
+        import daqp
+
+        solve = daqp.solve
     motor = MotorCurrent()
     motor_nm = vehicle.drive.max_torque_nm if vehicle.drive is not None else 0.0
     current_nm = (robot.safety.max_motor_current_a - motor.no_load_a) * motor.torque_per_amp_nm
@@ -103,6 +115,7 @@ def design_traction(robot: RobotConfig) -> TractionDesign:
         radius_m=vehicle.tire.rolling_radius_m * robot.drive.wheel_radius_factor,
         half_track_m=body.half_track_m,
         torque_max_nm=config.torque_share_max * min(motor_nm, current_nm),
+        rpm_max=design_drive(robot).rpm_max,
         static_load_n=(front, front, rear, rear),
         demand=np.array([[1.0] * 4, [-side for side in _SIDE]]),
         ticks_per_update=round(robot.loop.rate_hz / robot.loop.drive_rate_hz),
@@ -121,44 +134,71 @@ def step(
 
     The forces are shared out anew as often as the drives are told their speeds; in between nothing changes.
     """
-    config = design.config
-    if config.mode == "off" or inputs.drive_left is None or inputs.drive_right is None:
+    if design.config.mode == "off" or inputs.drive_left is None or inputs.drive_right is None:
         return state, state.last, wheel_rpm
-    ticks, last = state.ticks + 1, state.last
-    if ticks >= design.ticks_per_update:
-        last = _update(design, last, wheel_rpm, inputs, estimate, ticks * dt)
-        ticks = 0
-    return TractionState(ticks, last), last, _sum(wheel_rpm, last.trim_rpm)
+    if state.ticks + 1 < design.ticks_per_update:
+        state = TractionState(state.ticks + 1, state.friction, state.last)
+    else:
+        state = _update(design, state, wheel_rpm, inputs, estimate, dt * design.ticks_per_update)
+    return state, state.last, _trimmed(design, wheel_rpm, state.last.trim_rpm)
 
 
 def _update(
-    design: TractionDesign, last: Traction, wheel_rpm: Four, inputs: Inputs, estimate: Estimate, dt: float
-) -> Traction:
+    design: TractionDesign,
+    state: TractionState,
+    wheel_rpm: Four,
+    inputs: Inputs,
+    estimate: Estimate,
+    dt: float,
+) -> TractionState:
     """Measure, share out, trim."""
+    config = design.config
     speed_radps, torque_nm = measured(inputs)
     load_n = wheel_loads_n(design, estimate)
-    task = task_of(design, torque_nm, speed_radps, load_n, estimate)
+    pull_n = _four([torque / design.radius_m for torque in torque_nm])
+    use = _four([pull / load for pull, load in zip(pull_n, load_n, strict=True)])
+    slow_rpm, fast_rpm = slip_limits_rpm(design, estimate)
+    turning_rpm = _four([speed / _RADPS_PER_RPM for speed in speed_radps])
+    beyond_rpm = _four(
+        [
+            max(rpm - fast, 0.0) + min(rpm - slow, 0.0)
+            for rpm, slow, fast in zip(turning_rpm, slow_rpm, fast_rpm, strict=True)
+        ]
+    )
+    friction = _learn_friction(config, state.friction, use, load_n, beyond_rpm, dt)
+    side_use = _sideways_mps2(estimate) / GRAVITY_MPS2
+    fl, fr, rl, rr = pull_n
+    task = Task(
+        pull_n=fl + fr + rl + rr,
+        moment_nm=(fr + rr - fl - rl) * design.half_track_m,
+        load_n=load_n,
+        friction=config.friction + friction,
+        side_use=side_use,
+        speed_mps=_four([speed * design.radius_m for speed in speed_radps]),
+    )
     force_n = allocate(design, task)
     trim_rpm = STILL
-    if design.config.mode == "on":
-        slip_rpm = _slip_limits_rpm(design, wheel_rpm, estimate)
-        trim_rpm = _trim(design, last.trim_rpm, wheel_rpm, speed_radps, torque_nm, force_n, slip_rpm, dt)
-    a, b, c, d = (torque / design.radius_m / load for torque, load in zip(torque_nm, load_n, strict=True))
-    return Traction(
+    if config.mode == "on":
+        missing_nm = _four([f * design.radius_m - t for f, t in zip(force_n, torque_nm, strict=True)])
+        trim_rpm = _trim(config, state.last.trim_rpm, wheel_rpm, missing_nm, beyond_rpm, dt)
+        trim_rpm = _within(config.trim_max_rpm, trim_rpm, wheel_rpm, slow_rpm, fast_rpm)
+    last = Traction(
         force_n=force_n,
         torque_nm=torque_nm,
-        power_w=_product(torque_nm, speed_radps),
+        power_w=_four([torque * speed for torque, speed in zip(torque_nm, speed_radps, strict=True)]),
         electric_w=_electric_w(inputs),
-        friction_use=(a, b, c, d),
+        friction_use=use,
+        friction=task.friction,
         trim_rpm=trim_rpm,
     )
+    return TractionState(0, friction, last)
 
 
 # ---- what is measured
 
 
 def measured(inputs: Inputs) -> tuple[Four, Four]:
-    """Speeds of the wheels in rad/s and their torques in Nm, from the currents; zero before the first sample."""
+    """Speeds of the wheels in rad/s and, from the currents, their torques in Nm; zero without a sample."""
     left, right = inputs.drive_left, inputs.drive_right
     if left is None or right is None:
         return STILL, STILL
@@ -189,7 +229,7 @@ def _electric_w(inputs: Inputs) -> Four:
 
 
 def wheel_loads_n(design: TractionDesign, estimate: Estimate) -> Four:
-    """The estimated wheel loads, of at least `min_load_n`; the static ones as long as there is no estimate."""
+    """The estimated wheel loads, of at least `min_load_n`; the static ones while there is no estimate."""
     loads = estimate.loads.wheel_load_n
     if loads == STILL:
         loads = design.static_load_n
@@ -198,25 +238,33 @@ def wheel_loads_n(design: TractionDesign, estimate: Estimate) -> Four:
     return max(a, least), max(b, least), max(c, least), max(d, least)
 
 
+def _sideways_mps2(estimate: Estimate) -> float:
+    """What the tyres hold against sideways: the turn's acceleration and the slope's pull."""
+    turning = estimate.odometry.speed_mps * estimate.odometry.yaw_rate_radps
+    return abs(turning + GRAVITY_MPS2 * math.sin(estimate.roll_rad))
+
+
+def _learn_friction(
+    config: TractionConfig, above: float, use: Four, load_n: Four, beyond_rpm: Four, dt: float
+) -> float:
+    """What the friction has over the config's: shown by wheels that hold, refuted by wheels that slip."""
+    telling = _TELLING_LOAD * 0.25 * sum(load_n)
+    shown = left = 0.0
+    for used, load, beyond in zip(use, load_n, beyond_rpm, strict=True):
+        if load > telling and beyond == 0.0:
+            shown = max(shown, abs(used))
+        elif load > telling:
+            left = max(left, abs(used))
+    goal, gain = 0.0, config.forget_per_s
+    if left > 0.0:
+        goal, gain = max(left, _LEAST_SHARE * config.friction) - config.friction, config.friction_gain_per_s
+        goal = min(goal, above)
+    elif shown - config.friction > max(above, 0.0):
+        goal, gain = shown - config.friction, config.friction_gain_per_s
+    return above + min(1.0, gain * dt) * (goal - above)
+
+
 # ---- sharing out
-
-
-def task_of(
-    design: TractionDesign, torque_nm: Four, speed_radps: Four, load_n: Four, estimate: Estimate
-) -> Task:
-    """What the speed loops demand of the tyres together, and what else the tyres have to carry."""
-    r, y = design.radius_m, design.half_track_m
-    fl, fr, rl, rr = torque_nm
-    odometry = estimate.odometry
-    sideways_mps2 = odometry.speed_mps * estimate.yaw_rate_radps + GRAVITY_MPS2 * math.sin(estimate.roll_rad)
-    a, b, c, d = speed_radps
-    return Task(
-        pull_n=(fl + fr + rl + rr) / r,
-        moment_nm=(fr + rr - fl - rl) * y / r,
-        load_n=load_n,
-        side_use=abs(sideways_mps2) / GRAVITY_MPS2,
-        speed_mps=(a * r, b * r, c * r, d * r),
-    )
 
 
 def allocate(design: TractionDesign, task: Task) -> Four:
@@ -228,9 +276,9 @@ def allocate(design: TractionDesign, task: Task) -> Four:
     config, unit = design.config, _FORCE_UNIT_N
     most_n = limits_n(design, task)
     if config.share == "load":
-        grip = [config.friction * load / unit for load in task.load_n]
+        grip = [task.friction * load / unit for load in task.load_n]
     else:
-        grip = [config.friction * sum(task.load_n) / 4.0 / unit] * 4
+        grip = [task.friction * sum(task.load_n) / 4.0 / unit] * 4
     wish = np.array([task.pull_n, task.moment_nm / design.half_track_m]) / unit
     hessian = _WEIGHT * design.demand.T @ design.demand
     hessian.flat[::5] += [1.0 / g for g in grip]
@@ -252,14 +300,8 @@ def limits_n(design: TractionDesign, task: Task) -> Four:
     config, torque_n = design.config, design.torque_max_nm / design.radius_m
     if config.share == "equal":
         return torque_n, torque_n, torque_n, torque_n
-    share = math.sqrt(max(config.friction**2 - task.side_use**2, 0.0))
-    a, b, c, d = task.load_n
-    return (
-        min(torque_n, share * a),
-        min(torque_n, share * b),
-        min(torque_n, share * c),
-        min(torque_n, share * d),
-    )
+    along = math.sqrt(max(task.friction**2 - task.side_use**2, 0.0))
+    return _four([min(torque_n, along * load) for load in task.load_n])
 
 
 def _in_proportion(design: TractionDesign, task: Task, most_n: Four) -> Four:
@@ -268,65 +310,64 @@ def _in_proportion(design: TractionDesign, task: Task, most_n: Four) -> Four:
         of_side = 0.5 * (task.pull_n - side * task.moment_nm / design.half_track_m)
         whole = most_n[0] + most_n[2] if side > 0.0 else most_n[1] + most_n[3]
         force.append(min(1.0, max(-1.0, of_side / whole)) * most if whole > 0.0 else 0.0)
-    a, b, c, d = force
-    return a, b, c, d
+    return _four(force)
 
 
 # ---- carrying out
 
 
-def _slip_limits_rpm(design: TractionDesign, wheel_rpm: Four, estimate: Estimate) -> tuple[Four, Four]:
-    """Slowest and fastest that each wheel should turn at the body's speed."""
+def slip_limits_rpm(design: TractionDesign, estimate: Estimate) -> tuple[Four, Four]:
+    """Slowest and fastest that each wheel should turn at the body's speed and yaw rate."""
     config, odometry = design.config, estimate.odometry
     turning = odometry.yaw_rate_radps * design.half_track_m
-    low, high = [], []
+    rpm_per_mps = 1.0 / (design.radius_m * _RADPS_PER_RPM)
+    slow, fast = [], []
     for side in _SIDE:
         speed = odometry.speed_mps - side * turning
         spread = config.slip_max * abs(speed) + config.slip_margin_mps
-        low.append((speed - spread) / design.radius_m / _RADPS_PER_RPM)
-        high.append((speed + spread) / design.radius_m / _RADPS_PER_RPM)
-    return (low[0], low[1], low[2], low[3]), (high[0], high[1], high[2], high[3])
+        slow.append((speed - spread) * rpm_per_mps)
+        fast.append((speed + spread) * rpm_per_mps)
+    return _four(slow), _four(fast)
 
 
 def _trim(
-    design: TractionDesign,
-    trim_rpm: Four,
-    wheel_rpm: Four,
-    speed_radps: Four,
-    torque_nm: Four,
-    force_n: Four,
-    slip_rpm: tuple[Four, Four],
-    dt: float,
+    config: TractionConfig, trim_rpm: Four, wheel_rpm: Four, missing_nm: Four, beyond_rpm: Four, dt: float
 ) -> Four:
-    """Integrate what each wheel's torque misses of its share, and take back what slips too much."""
-    config = design.config
+    """Integrate what each wheel's torque misses of its share, less what it slips beyond its limit."""
     if wheel_rpm == STILL:
         keep = max(0.0, 1.0 - config.release_per_s * dt)
-        return _four([trim * keep if abs(trim * keep) > _SNAP_RPM else 0.0 for trim in trim_rpm])
-    trims, keep = [], 1.0 - config.forget_per_s * dt
-    for i in range(4):
-        missing_nm = force_n[i] * design.radius_m - torque_nm[i]
-        turns_rpm = speed_radps[i] / _RADPS_PER_RPM
-        low, high = slip_rpm[0][i], slip_rpm[1][i]
-        beyond_rpm = max(turns_rpm - high, 0.0) + min(turns_rpm - low, 0.0)
-        trim = keep * trim_rpm[i] + dt * (
-            config.torque_gain_rpm_per_nms * missing_nm - config.slip_gain_per_s * beyond_rpm
-        )
-        most = config.trim_max_rpm
-        # A trim may bring a wheel to its slip limit, not beyond; what the drive commands it leaves alone.
-        up, down = max(high - wheel_rpm[i], 0.0), min(low - wheel_rpm[i], 0.0)
-        trims.append(min(most, up, max(-most, down, trim)))
-    return _four(trims)
+        return _four([keep * trim if abs(trim) > _SNAP_RPM else 0.0 for trim in trim_rpm])
+    torque, slip, keep = (
+        config.torque_gain_rpm_per_nms,
+        config.slip_gain_per_s,
+        1.0 - config.forget_per_s * dt,
+    )
+    return _four(
+        [
+            keep * trim + dt * (torque * missing - slip * beyond)
+            for trim, missing, beyond in zip(trim_rpm, missing_nm, beyond_rpm, strict=True)
+        ]
+    )
+
+
+def _within(most_rpm: float, trim_rpm: Four, wheel_rpm: Four, slow_rpm: Four, fast_rpm: Four) -> Four:
+    """Keep trims from driving a wheel out of its slip limits; what the drive commands they leave alone."""
+    return _four(
+        [
+            min(most_rpm, max(fast - rpm, 0.0), max(-most_rpm, min(slow - rpm, 0.0), trim))
+            for trim, rpm, slow, fast in zip(trim_rpm, wheel_rpm, slow_rpm, fast_rpm, strict=True)
+        ]
+    )
+
+
+def _trimmed(design: TractionDesign, wheel_rpm: Four, trim_rpm: Four) -> Four:
+    """Wheel speeds with their trims, none beyond the fastest that the drive may command."""
+    if trim_rpm == STILL:
+        return wheel_rpm
+    most = design.rpm_max
+    return _four([min(most, max(-most, a + b)) for a, b in zip(wheel_rpm, trim_rpm, strict=True)])
 
 
 def _four(values: list[float]) -> Four:
     a, b, c, d = values
     return a, b, c, d
-
-
-def _sum(left: Four, right: Four) -> Four:
-    return left[0] + right[0], left[1] + right[1], left[2] + right[2], left[3] + right[3]
-
-
-def _product(left: Four, right: Four) -> Four:
-    return left[0] * right[0], left[1] * right[1], left[2] * right[2], left[3] * right[3]
