@@ -76,7 +76,7 @@ class FaultReport:
 class LogStatus:
     """How the log itself does. Counts are totals since the session began."""
 
-    dropped_packets: int  # not taken from the control loop, because the log's process lagged; one a tick
+    dropped_packets: int  # of some ticks each, not taken from the control loop, because the log lagged
     dropped_bytes: int
 
 
