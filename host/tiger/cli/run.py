@@ -65,6 +65,7 @@ class Journal:
     stops: list[str] = field(default_factory=list)
     last: Record | None = None
     last_time_s: float = 0.0
+    log: dict[str, Any] | None = None
 
     def add(self, record: Record, time_s: float, truth_deg: tuple[float, float] | None, keep: bool) -> None:
         """Take one tick; `truth_deg` is the true roll and pitch where someone knows them."""
@@ -131,6 +132,7 @@ class Journal:
                 for link in (last.links if last else ())
             },
             "lateness_us": lateness.summary() if lateness else None,
+            "log": self.log,
         }
 
     def last_line(self, wished_armed: bool, lateness: Lateness | None) -> tuple[str, bool]:
@@ -273,6 +275,7 @@ class _Log:
             from tiger.logs.session import LogSession
 
             self._session = LogSession(folder, robot, clock, about={"command": " ".join(sys.argv)})
+        self._told: str | None = None
 
     def __enter__(self) -> _Log:
         if self._session is not None:
@@ -284,19 +287,34 @@ class _Log:
             return
         self._session.__exit__(*error)
         typer.echo(f"log: {self._session.path}")
-        if self._session.dropped_packets:
-            typer.echo(f"log: {self._session.dropped_packets} packets were dropped", err=True)
-        if self._session.problem:
-            typer.echo(f"log: {self._session.problem}", err=True)
+        if self._session.trouble:
+            typer.echo(self._session.trouble, err=True)
 
     def tap(self, ports: PortProvider) -> PortProvider:
         """The same ports, with all bytes logged."""
         return ports if self._session is None else self._session.tap(ports)
 
     def record(self, record: Record, daemon: Daemon) -> None:
-        """Hand a tick over; never waits."""
-        if self._session is not None:
-            self._session.record(record, daemon.control_state)
+        """Hand a tick over, never waiting, and tell whoever watches when the log is in trouble."""
+        if self._session is None:
+            return
+        self._session.record(record, daemon.control_state)
+        if self._session.trouble != self._told:
+            self._told = self._session.trouble
+            daemon.note(self._told or "log: goes on")
+            if not sys.stdout.isatty():
+                typer.echo(self._told)
+
+    def summary(self) -> dict[str, Any] | None:
+        """Figures for the run's summary; None when no log was asked for."""
+        if self._session is None:
+            return None
+        return {
+            "file": str(self._session.path),
+            "dropped_packets": self._session.dropped_packets,
+            "dropped_bytes": self._session.dropped_bytes,
+            "problem": self._session.problem,
+        }
 
 
 class _Socket:
@@ -371,6 +389,7 @@ def _run_virtual(robot: RobotConfig, scenario_name: str, seed: int, wishes: Wish
                 drawn_s = time.monotonic()
                 screen.show(record, rig.daemon.log_lines)
     rig.daemon.close()
+    journal.log = log.summary()
     return journal, None
 
 
@@ -464,4 +483,5 @@ def _run_real_time(
             programs.close(daemon)
             daemon.close()
     sys.stdout.flush()
+    journal.log = log.summary()
     return journal, lateness

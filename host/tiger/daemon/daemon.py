@@ -274,6 +274,10 @@ class Daemon:
         elif isinstance(message, Log):
             self._say(f"{event.session.name}: {message.text}")
 
+    def note(self, line: str) -> None:
+        """Show a line to whoever watches."""
+        self._say(line)
+
     def _say(self, line: str) -> None:
         self.log_lines = [*self.log_lines[1 - LOG_LINES :], line]
 
