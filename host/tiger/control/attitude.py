@@ -25,7 +25,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from tiger.control.lqr import dlqr
-from tiger.control.reachable import Pose, Suspension
+from tiger.control.reachable import WARP, Pose, Suspension
 from tiger.record import STILL
 
 if TYPE_CHECKING:
@@ -47,6 +47,8 @@ class Target:
     pitch_rate_radps: float = 0.0
     unreachable: bool = False
     """The strokes do not reach what was asked for; `pose` is the nearest."""
+    twists: bool = False
+    """The twist of the pose is wanted for its own sake: at full speed, and reason enough for a move."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +59,8 @@ class LevelingDesign:
     suspension: Suspension
     ride_mm: float
     """Lift of the default ride height."""
+    lift_rate_mmps: float
+    """Fastest lift about the default ride height."""
     turn_limits_radps: tuple[float, float]
     """Fastest roll and pitch about the default ride height, each alone."""
     error_gain_per_s: float
@@ -124,6 +128,7 @@ def design_leveling(robot: RobotConfig) -> LevelingDesign:
         config=config,
         suspension=suspension,
         ride_mm=ride_mm,
+        lift_rate_mmps=fastest_mmps,
         turn_limits_radps=(fastest_mmps / suspension.y_mm[0], fastest_mmps / suspension.x_mm[0]),
         error_gain_per_s=float(-gain[0]),
         rate_gain=float(gain[1]),
@@ -151,15 +156,19 @@ def step(
     present = suspension.pose(lift)
     error = (target.pose.roll_rad - present.roll_rad, target.pose.pitch_rad - present.pitch_rad)
     ride_error = target.pose.ride_mm - present.ride_mm
-    centred = max(abs(ride_error), abs(present.warp_mm)) < design.config.ride_settle_mm
-    phase = _phase(design, state.phase, target, error, ride_error, centred, dt)
+    warp_error = target.pose.warp_mm - present.warp_mm
+    centred = max(abs(ride_error), abs(warp_error)) < design.config.ride_settle_mm
+    astray = max(abs(ride_error), abs(warp_error) if target.twists else 0.0) > design.config.ride_wake_mm
+    phase = _phase(design, state.phase, target, error, centred=centred, astray=astray, dt=dt)
     if phase.moving:
         speed = suspension.pose(tuple(m * v for m, v in zip(ratio, rate, strict=True)))
         turning = _turning(design, phase, target)
-        pressing = _pressing(design, error, turning)
-        wanted = _feedback(design, turning, pressing, ride_error, present.warp_mm, speed)
+        warping = _warping(design, target, warp_error, speed)
+        pressing = _pressing(design, error, turning, abs(warping) if target.twists else 0.0)
+        wanted = _feedback(design, turning, pressing, ride_error, warping, speed)
         limits = _rate_limits(design, stroke_mm, rate)
-        goal = _allocate(suspension, wanted, ratio, limits)
+        allocate = _allocate_twisting if target.twists else _allocate
+        goal = allocate(suspension, wanted, ratio, limits)
     else:
         goal = STILL
     command = _slewed(design, state.command_mmps, goal, dt)
@@ -172,8 +181,9 @@ def _phase(
     last: Phase,
     target: Target,
     error: tuple[float, float],
-    ride_error_mm: float,
+    *,
     centred: bool,
+    astray: bool,
     dt: float,
 ) -> Phase:
     """Decide whether to move: from having left the dead zone until near zero error on still ground.
@@ -198,7 +208,7 @@ def _phase(
         return Phase(False, 0.0, 0.0, last.still_time_s, turning)
     zone = design.wake_still_rad if still else design.wake_moving_rad
     patience = max(0.0, last.patience_rads + (worst - zone) * dt)
-    wake = patience > design.patience_rads or abs(ride_error_mm) > config.ride_wake_mm
+    wake = patience > design.patience_rads or astray
     if not wake:
         return Phase(False, patience, last.quiet_s + dt, last.still_time_s, turning)
     still_time_s = config.still_time_s
@@ -217,14 +227,18 @@ def _turning(design: LevelingDesign, phase: Phase, target: Target) -> tuple[floa
 
 
 def _pressing(
-    design: LevelingDesign, error: tuple[float, float], turning_radps: tuple[float, float]
+    design: LevelingDesign,
+    error: tuple[float, float],
+    turning_radps: tuple[float, float],
+    twisting_mmps: float,
 ) -> tuple[float, float]:
-    """Roll and pitch error, without one inside the dead zone while the actuators are busy with the other."""
+    """Roll and pitch error, without one inside the dead zone while the actuators are busy with the other, or
+    with a twist."""
     demand = [
         abs(rate + design.error_gain_per_s * angle) / limit
         for angle, rate, limit in zip(error, turning_radps, design.turn_limits_radps, strict=True)
     ]
-    if max(demand) < 1.0:
+    if max(*demand, twisting_mmps / design.lift_rate_mmps) < 1.0:
         return error
     zone = design.wake_moving_rad
     roll, pitch = (
@@ -239,7 +253,7 @@ def _feedback(
     turning_radps: tuple[float, float],
     error: tuple[float, float],
     ride_error_mm: float,
-    warp_mm: float,
+    warping_mmps: float,
     speed: Pose,
 ) -> Pose:
     """Rates of roll, pitch, ride and warp that are wanted before any limit, as a pose per second.
@@ -252,8 +266,16 @@ def _feedback(
         roll_rad=roll_rate + k * error[0] - d * (speed.roll_rad - roll_rate),
         pitch_rad=pitch_rate + k * error[1] - d * (speed.pitch_rad - pitch_rate),
         ride_mm=k * ride_error_mm - d * speed.ride_mm,
-        warp_mm=-design.config.warp_rate_per_s * warp_mm,
+        warp_mm=warping_mmps,
     )
+
+
+def _warping(design: LevelingDesign, target: Target, error_mm: float, speed: Pose) -> float:
+    """Rate of twist: at leisure, or as fast as the actuators go where the twist itself is wanted."""
+    if not target.twists:
+        return design.config.warp_rate_per_s * error_mm
+    rate = design.error_gain_per_s * error_mm - design.rate_gain * speed.warp_mm
+    return min(design.lift_rate_mmps, max(-design.lift_rate_mmps, rate))
 
 
 def _allocate(
@@ -278,6 +300,36 @@ def _allocate(
     highest = min(hi - scale * d for hi, d in zip(high, tilt, strict=True))
     ride = max(lowest, min(highest, wanted.ride_mm))
     fl, fr, rl, rr = ((ride + scale * d) / m for d, m in zip(tilt, ratio, strict=True))
+    return fl, fr, rl, rr
+
+
+def _allocate_twisting(
+    suspension: Suspension, wanted: Pose, ratio: Four, limits: tuple[tuple[float, float], ...]
+) -> Four:
+    """As `_allocate`, with the twist to give way to roll and pitch, and ride to both.
+
+    The two corners of a diagonal share what ride and twist do to them, so only they compete: k (d_j - d_i) <=
+    high_j - low_i within a diagonal. Then twist, then ride are the wanted ones clipped to what is left.
+    """
+    tilt = suspension.lifts_mm(Pose(wanted.roll_rad, wanted.pitch_rad, 0.0))
+    low = [m * lo for m, (lo, _) in zip(ratio, limits, strict=True)]
+    high = [m * hi for m, (_, hi) in zip(ratio, limits, strict=True)]
+    scale = 1.0
+    for i, j in ((0, 3), (3, 0), (1, 2), (2, 1)):
+        room = high[j] - low[i]
+        if scale * (tilt[j] - tilt[i]) > room:
+            scale = room / (tilt[j] - tilt[i])
+    least = [lo - scale * d for lo, d in zip(low, tilt, strict=True)]
+    most = [hi - scale * d for hi, d in zip(high, tilt, strict=True)]
+    # What ride + twist may be (FL, RR), and ride - twist (FR, RL).
+    up_low, up_high = max(least[0], least[3]), min(most[0], most[3])
+    down_low, down_high = max(least[1], least[2]), min(most[1], most[2])
+    warp = max(0.5 * (up_low - down_high), min(0.5 * (up_high - down_low), wanted.warp_mm))
+    lowest, highest = max(up_low - warp, down_low + warp), min(up_high - warp, down_high + warp)
+    ride = max(lowest, min(highest, wanted.ride_mm))
+    fl, fr, rl, rr = (
+        (ride + sign * warp + scale * d) / m for sign, d, m in zip(WARP, tilt, ratio, strict=True)
+    )
     return fl, fr, rl, rr
 
 

@@ -111,9 +111,17 @@ class Suspension:
             roll, pitch = span / across, 0.0
         return math.copysign(roll, roll_rad), math.copysign(pitch, pitch_rad)
 
-    def ride_range_mm(self, roll_rad: float, pitch_rad: float) -> tuple[float, float]:
-        """Return the lowest and highest ride that leave a reachable attitude its lifts."""
-        tilt = self.lifts_mm(Pose(roll_rad, pitch_rad, 0.0))
+    def warp_range_mm(self, roll_rad: float, pitch_rad: float) -> tuple[float, float]:
+        """Return the lowest and highest twist that a reachable attitude leaves to the lifts."""
+        fl, fr, rl, rr = self.lifts_mm(Pose(roll_rad, pitch_rad, 0.0))
+        span = self.lift_high_mm - self.lift_low_mm
+        lowest = 0.5 * (max(fr, rl) - min(fl, rr) - span)
+        highest = 0.5 * (span - max(fl, rr) + min(fr, rl))
+        return min(lowest, 0.0), max(highest, 0.0)
+
+    def ride_range_mm(self, roll_rad: float, pitch_rad: float, warp_mm: float = 0.0) -> tuple[float, float]:
+        """Return the lowest and highest ride that leave a reachable attitude and twist their lifts."""
+        tilt = self.lifts_mm(Pose(roll_rad, pitch_rad, 0.0, warp_mm))
         return self.lift_low_mm - min(tilt), self.lift_high_mm - max(tilt)
 
     def limits(self) -> tuple[float, float]:

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiger.control import attitude, drive, stability, traction
+from tiger.control import attitude, balance, drive, stability, traction
 from tiger.control.attitude import LevelingDesign, LevelingState, Target
+from tiger.control.balance import BalanceState
 from tiger.control.drive import DriveDesign, DriveState
 from tiger.control.reachable import Pose
 from tiger.control.rhythm import Rhythm, followable, learn
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from tiger.config.robot import RobotConfig
+    from tiger.estimation.contact import Contact
+    from tiger.record import Four
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,13 +57,14 @@ class ControllerState:
     """What a tick leaves to the next."""
 
     observer: ObserverState
+    situation: SituationState
     leveling: LevelingState = field(default_factory=LevelingState)
     drive: DriveState = field(default_factory=DriveState)
     ground: tuple[Rhythm, Rhythm] = (Rhythm(), Rhythm())
     """What was learned of the ground's rocking in roll and in pitch."""
     imu_t_s: float = -math.inf
     """Time of the IMU sample last used."""
-    situation: SituationState = field(default_factory=SituationState)
+    balance: BalanceState = field(default_factory=BalanceState)
     stability: StabilityState = field(default_factory=StabilityState)
     traction: TractionState = field(default_factory=TractionState)
 
@@ -81,7 +85,7 @@ def design_controller(robot: RobotConfig) -> ControllerDesign:
 
 def initial_state(design: ControllerDesign) -> ControllerState:
     """Return the state before the first tick."""
-    return ControllerState(observer.initial_state(design.observer))
+    return ControllerState(observer.initial_state(design.observer), situation.initial_state(design.situation))
 
 
 def rearmed(design: ControllerDesign, state: ControllerState) -> ControllerState:
@@ -93,9 +97,9 @@ def _at_rest(state: ControllerState) -> ControllerState:
     """What is known of the robot and its ground, without anything that was being done about it."""
     return ControllerState(
         state.observer,
+        state.situation,
         ground=state.ground,
         imu_t_s=state.imu_t_s,
-        situation=state.situation,
         stability=state.stability,
     )
 
@@ -125,13 +129,17 @@ def step(
     if not inputs.armed:
         return _at_rest(state), Outputs(estimate=estimate, reason="not armed")
 
-    target, reason = _target(design, command, _Known(estimate, ground))
+    balancing = _balancing(design, state, command, strokes.stroke_mm, estimate)
+    target, reason = _target(design, command, _Known(estimate, ground, balancing, known.contact.contact))
     leveling, levelled = attitude.step(design.leveling, state.leveling, target, strokes.stroke_mm, dt)
     driving, wheel_rpm = drive.step(design.drive, state.drive, command, inputs, dt)
     gripping, forces, wheel_rpm = traction.step(
         design.traction, state.traction, wheel_rpm, inputs, estimate, dt
     )
     unreachable = target is not None and target.unreachable
+    limited = stability.reason(margins)
+    if limited:
+        reason = f"{reason}; {limited}"
     outputs = Outputs(
         stroke_rate_mmps=levelled.command_mmps,
         wheel_rpm=wheel_rpm,
@@ -143,7 +151,27 @@ def step(
         at_limit=levelled.at_limit,
         traction=forces,
     )
-    return replace(state, leveling=leveling, drive=driving, traction=gripping), outputs
+    return replace(state, leveling=leveling, balance=balancing, drive=driving, traction=gripping), outputs
+
+
+def _balancing(
+    design: ControllerDesign, state: ControllerState, command: Command, stroke_mm: Four, estimate: Estimate
+) -> BalanceState:
+    """Advance mode balance; in any other mode it waits at its beginning."""
+    if command.mode is not Mode.BALANCE:
+        return BalanceState()
+    suspension = design.leveling.suspension
+    at = suspension.curve.at
+    fl, fr, rl, rr = (at(stroke)[0] for stroke in stroke_mm)
+    roll, pitch = suspension.nearest(
+        command.roll_rad - estimate.plate_roll_rad, command.pitch_rad - estimate.plate_pitch_rad
+    )
+    now = balance.Situation(
+        contact=state.situation.contact.contact,
+        warp_mm=suspension.pose((fl, fr, rl, rr)).warp_mm,
+        reach_mm=suspension.warp_range_mm(roll, pitch),
+    )
+    return balance.step(design.robot.balance, state.balance, now)
 
 
 def _observe(
@@ -170,6 +198,8 @@ class _Known:
 
     estimate: Estimate
     ground: tuple[Rhythm, Rhythm]
+    balance: BalanceState
+    contact: Contact
 
 
 def _target(design: ControllerDesign, command: Command, known: _Known) -> tuple[Target | None, str]:
@@ -186,7 +216,11 @@ def _target(design: ControllerDesign, command: Command, known: _Known) -> tuple[
     target = mode.target(design, command, known)
     if target is not None and target.unreachable:
         return target, f"{command.mode}: out of reach, holding the nearest attitude"
-    return target, str(command.mode)
+    return target, mode.reason(command, known)
+
+
+def _named(command: Command, known: _Known) -> str:
+    return str(command.mode)
 
 
 def _hold(design: ControllerDesign, command: Command, known: _Known) -> Target | None:
@@ -199,6 +233,24 @@ def _level(design: ControllerDesign, command: Command, known: _Known) -> Target 
     return _posed(
         design, command, command.roll_rad - roll, command.pitch_rad - pitch, (-roll_rate, -pitch_rate)
     )
+
+
+def _balance(design: ControllerDesign, command: Command, known: _Known) -> Target | None:
+    """As level, on the twist of the strokes that shares the load."""
+    (roll, roll_rate), (pitch, pitch_rate) = _followable_ground(design, known)
+    level = _posed(
+        design,
+        command,
+        command.roll_rad - roll,
+        command.pitch_rad - pitch,
+        (-roll_rate, -pitch_rate),
+        known.balance.wanted_mm,
+    )
+    return replace(level, twists=True)
+
+
+def _balance_reason(command: Command, known: _Known) -> str:
+    return f"{command.mode}: {balance.reason(known.balance, known.contact)}"
 
 
 def _followable_ground(
@@ -242,18 +294,23 @@ def _posed(
     roll_rad: float,
     pitch_rad: float,
     turning_radps: tuple[float, float] = (0.0, 0.0),
+    warp_mm: float = 0.0,
 ) -> Target:
-    """Target the nearest reachable attitude, at the wanted ride height as far as the attitude leaves it."""
+    """Target the nearest reachable attitude, then the twist and the ride height as far as it leaves them."""
     suspension = design.leveling.suspension
     roll, pitch = suspension.nearest(roll_rad, pitch_rad)
     unreachable = abs(roll - roll_rad) + abs(pitch - pitch_rad) > 1e-9
-    lowest, highest = suspension.ride_range_mm(roll, pitch)
+    if warp_mm != 0.0:
+        least, most = suspension.warp_range_mm(roll, pitch)
+        warp_mm = min(max(warp_mm, least), most)
+    lowest, highest = suspension.ride_range_mm(roll, pitch, warp_mm)
     wanted = design.leveling.ride_mm
     if command.ride_stroke_mm is not None:
         wanted = suspension.curve.at(command.ride_stroke_mm)[0]
     if unreachable:
         turning_radps = (0.0, 0.0)
-    return Target(Pose(roll, pitch, min(max(wanted, lowest), highest)), *turning_radps, unreachable)
+    pose = Pose(roll, pitch, min(max(wanted, lowest), highest), warp_mm)
+    return Target(pose, *turning_radps, unreachable)
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,11 +319,13 @@ class _ModeRow:
 
     target: Callable[[ControllerDesign, Command, _Known], Target | None]
     has_attitude: bool
+    reason: Callable[[Command, _Known], str] = _named
 
 
 _MODES = {
     Mode.HOLD: _ModeRow(_hold, has_attitude=False),
     Mode.LEVEL: _ModeRow(_level, has_attitude=True),
+    Mode.BALANCE: _ModeRow(_balance, has_attitude=True, reason=_balance_reason),
     Mode.POSE: _ModeRow(_pose, has_attitude=True),
     Mode.STOW: _ModeRow(_stow, has_attitude=False),
 }

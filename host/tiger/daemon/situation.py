@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from tiger.estimation import odometry, roughness, wheel_loads
+from tiger.estimation import contact, odometry, roughness, wheel_loads
+from tiger.estimation.contact import Contact, ContactDesign, ContactState
 from tiger.estimation.odometry import OdometryDesign, OdometryState
 from tiger.estimation.roughness import RoughnessDesign, RoughnessState
 from tiger.estimation.wheel_loads import LoadsDesign, LoadsState
+from tiger.record import Loads
 
 if TYPE_CHECKING:
     from tiger.config.robot import RobotConfig
@@ -20,6 +22,7 @@ class SituationDesign:
     """Designs of the estimators."""
 
     odometry: OdometryDesign
+    contact: ContactDesign
     loads: LoadsDesign
     roughness: RoughnessDesign
 
@@ -28,18 +31,27 @@ class SituationDesign:
 class SituationState:
     """States of the estimators."""
 
+    contact: ContactState
     odometry: OdometryState = field(default_factory=OdometryState)
     loads: LoadsState = field(default_factory=LoadsState)
     roughness: RoughnessState = field(default_factory=RoughnessState)
+    carried: Loads = field(default_factory=Loads)
+    """Loads as last estimated."""
 
 
 def design_situation(robot: RobotConfig) -> SituationDesign:
     """Design everything for a checked configuration."""
     return SituationDesign(
         odometry=odometry.design_odometry(robot),
+        contact=contact.design_contact(robot),
         loads=wheel_loads.design_loads(robot),
         roughness=roughness.design_roughness(robot),
     )
+
+
+def initial_state(design: SituationDesign) -> SituationState:
+    """Return the state before the first tick."""
+    return SituationState(contact.initial_state(design.contact))
 
 
 def step(
@@ -50,6 +62,21 @@ def step(
     estimate = replace(
         estimate, speed_mps=where.speed_mps, yaw_rate_radps=where.yaw_rate_radps, odometry=where
     )
+    touching, touch = contact.step(design.contact, state.contact, inputs, estimate, state.carried, dt)
+    estimate = replace(estimate, loads=_with_contact(state.carried, touch))
     loading, loads = wheel_loads.step(design.loads, state.loads, inputs, estimate, dt)
     rolling, rough = roughness.step(design.roughness, state.roughness, inputs, estimate, dt)
-    return SituationState(moving, loading, rolling), replace(estimate, loads=loads, roughness=rough)
+    loads = _with_contact(loads, touch)
+    after = SituationState(touching, moving, loading, rolling, loads)
+    return after, replace(estimate, loads=loads, roughness=rough)
+
+
+def _with_contact(loads: Loads, touch: Contact) -> Loads:
+    """Loads with what is known of contact; the record's warp is FL - FR - RL + RR of the ground's heights."""
+    fl, fr, rl, rr = (share > 0.5 for share in touch.hanging)
+    return replace(
+        loads,
+        hanging=(fl, fr, rl, rr),
+        ground_warp_m=0.004 * touch.ground_warp_mm,
+        ground_warp_sigma_m=0.004 * touch.sigma_mm,
+    )
