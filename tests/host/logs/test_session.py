@@ -222,7 +222,7 @@ def test_a_stalled_writer_never_holds_up_the_loop_and_drops_are_counted(
         assert log.problem is None
     summary = summarise(open_log(tmp_path))
     assert summary.dropped_packets == dropped
-    assert summary.missing_ticks == dropped
+    assert 0 <= TICKS_PER_PACKET * dropped - summary.missing_ticks < 4 * TICKS_PER_PACKET
     assert examine(open_log(tmp_path).files[0].path) == []
 
 
