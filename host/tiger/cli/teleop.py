@@ -9,6 +9,7 @@ terminal, the daemon stops the robot half a second after its last word.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import math
 import os
 import select
@@ -141,50 +142,61 @@ class Keyboard(Keys):
 
 # ---- gamepad ------------------------------------------------
 
-EVENT = struct.Struct("<IhBB")  # time ms, value, type, number: the kernel's joystick interface
-BUTTON, AXIS, INITIAL = 0x01, 0x02, 0x80
-FULL = 32767.0
+EVENT = struct.Struct("@llHHi")  # seconds, microseconds, type, code, value: the kernel's struct input_event
+SYN, KEY, ABS = 0, 1, 3  # types
+SYN_DROPPED = 3  # the kernel's queue ran over: events are lost
+# Codes of the kernel's gamepad specification, the same for every maker.
+BUTTONS = {"a": 304, "b": 305, "x": 307, "y": 308, "left-shoulder": 310, "right-shoulder": 311}
+AXES = {"x": 0, "y": 1, "z": 2, "rx": 3, "ry": 4, "rz": 5}
+SELECT, START, DPAD_Y = 314, 315, 17
+EVIOCGABS = 0x80184540  # + axis: its struct input_absinfo of six ints: value, minimum, maximum, ...
+FULL = (-32768, 32767)  # range of a stick that does not tell
 DEAD_ZONE = 0.08
-PAD_HELP = """hold the dead-man button {deadman} to move: left stick speed, right stick direction
-D-pad up and down: speed level   start: arm   back: disarm   button 1 (B): emergency stop   Ctrl-C quits"""
+WHERE = "/dev/input/by-id/*-event-joystick"
+PAD_HELP = """hold {deadman} to move: left stick speed, right stick direction;  D-pad up and down: speed level
+start: arm   select (back): disarm   button B: emergency stop   Ctrl-C quits"""
 
 
 @dataclass
 class Gamepad:
-    """Sticks and buttons, numbered as the kernel's `xpad` driver does."""
+    """Sticks and buttons, coded as in the kernel's gamepad specification."""
 
-    deadman: int = 4
-    speed_axis: int = 1
-    yaw_axis: int = 3
-    level_axis: int = 7
+    deadman: int = BUTTONS["left-shoulder"]
+    speed_axis: int = AXES["y"]
+    yaw_axis: int = AXES["rx"]
     level: int = 1
-    asks: dict[int, str] = field(default_factory=lambda: {1: "estop", 6: "disarm", 7: "arm"})
+    asks: dict[int, str] = field(
+        default_factory=lambda: {BUTTONS["b"]: "estop", SELECT: "disarm", START: "arm"}
+    )
+    ranges: dict[int, tuple[int, int]] = field(default_factory=dict)  # of each axis
     _held: bool = False
     _sticks: dict[int, float] = field(default_factory=dict)
     _rest: bytes = b""
 
     def feed(self, data: bytes) -> list[str]:
-        """Take bytes of /dev/input/js*; returns what was asked for besides motion."""
+        """Take bytes of /dev/input/event*; returns what was asked for besides motion."""
         data = self._rest + data
         whole = len(data) - len(data) % EVENT.size
         self._rest = data[whole:]
         asked = []
-        for _, value, kind, number in EVENT.iter_unpack(data[:whole]):
-            if kind & INITIAL:  # the state when it was opened, or after lost events: nobody's wish
-                self._held &= not (kind & BUTTON and number == self.deadman and not value)
-            elif kind == AXIS:
-                self._move(number, value / FULL)
-            elif kind == BUTTON and number == self.deadman:
-                self._held = bool(value)
-            elif kind == BUTTON and value and number in self.asks:
-                asked.append(self.asks[number])
+        for _, _, kind, code, value in EVENT.iter_unpack(data[:whole]):
+            if kind == SYN and code == SYN_DROPPED:
+                self._held = False  # perhaps it was let go: it must be pressed again
+            elif kind == ABS:
+                self._move(code, value)
+            elif kind == KEY and code == self.deadman:
+                self._held = value != 0
+            elif kind == KEY and value == 1 and code in self.asks:
+                asked.append(self.asks[code])
         return asked
 
-    def _move(self, axis: int, value: float) -> None:
-        if axis != self.level_axis:
-            self._sticks[axis] = value
-        elif abs(value) > 0.5:  # up is negative
-            self.level = min(max(self.level + (1 if value < 0.0 else -1), 1), LEVELS)
+    def _move(self, axis: int, value: int) -> None:
+        if axis != DPAD_Y:
+            low, high = self.ranges.get(axis, FULL)
+            middle, half = (low + high) / 2.0, (high - low) / 2.0
+            self._sticks[axis] = min(max((value - middle) / half, -1.0), 1.0)
+        elif value:  # up is negative
+            self.level = min(max(self.level + (1 if value < 0 else -1), 1), LEVELS)
 
     def motion(self, now_s: float) -> Motion:
         """The sticks while the dead-man button is held; up and left are negative there."""
@@ -197,16 +209,23 @@ class Gamepad:
 
 def _past_dead_zone(value: float) -> float:
     beyond = max(abs(value) - DEAD_ZONE, 0.0) / (1.0 - DEAD_ZONE)
-    return math.copysign(min(beyond, 1.0), value) if beyond else 0.0
+    return math.copysign(beyond, value) if beyond else 0.0
 
 
 class GamepadDevice(Gamepad):
-    """One /dev/input/js*. A context manager once `path` is set."""
+    """One /dev/input/event*. A context manager once `path` is set."""
 
     path: Path
 
     def __enter__(self) -> GamepadDevice:
-        self._device = os.open(self.path, os.O_RDONLY)
+        self._device = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK)
+        for axis in (self.speed_axis, self.yaw_axis):
+            info = bytearray(24)
+            with contextlib.suppress(OSError):
+                fcntl.ioctl(self._device, EVIOCGABS + axis, info)
+            low, high = struct.unpack_from("@ii", info, 4)
+            if low < high:
+                self.ranges[axis] = low, high
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -222,6 +241,17 @@ class GamepadDevice(Gamepad):
         if not data:
             raise OSError("it is gone")
         return self.feed(data)
+
+
+def _find_gamepad(path: str) -> Path:
+    """Return the device that is meant; `auto` is the first one. Ends the program when there is none."""
+    if path != "auto":
+        return Path(path)
+    found = sorted(Path("/").glob(WHERE[1:]))
+    if not found:
+        typer.echo(f"no gamepad matches {WHERE}; connect it, or name its /dev/input/event*", err=True)
+        raise typer.Exit(2)
+    return found[0]
 
 
 # ---- the program --------------------------------------------
@@ -297,19 +327,29 @@ def operate(hands: Hands, teleop: Teleop) -> None:
 
 def teleop(
     gamepad: Annotated[
-        Path | None, typer.Option("--gamepad", help="Its device, /dev/input/js0; default: the keyboard.")
+        str | None,
+        typer.Option("--gamepad", help="Its device /dev/input/event*, or auto; default: the keyboard."),
     ] = None,
     level: Annotated[int, typer.Option("--level", min=1, max=LEVELS, help="Speed level to begin with.")] = 1,
-    deadman: Annotated[int, typer.Option("--deadman", min=0, help="Number of the button to hold.")] = 4,
-    yaw_axis: Annotated[int, typer.Option("--yaw-axis", min=0, help="Number of the steering axis.")] = 3,
+    deadman: Annotated[
+        str, typer.Option("--deadman", help=f"The button to hold: {', '.join(BUTTONS)}.")
+    ] = "left-shoulder",
+    yaw_axis: Annotated[
+        str, typer.Option("--yaw-axis", help=f"The stick that steers: {', '.join(AXES)}.")
+    ] = "rx",
 ) -> None:
     """Drive by hand: the robot moves while a key, or the gamepad's dead-man button, is held."""
     hands: Keyboard | GamepadDevice
     if gamepad is None:
-        hands, text = Keyboard(level), KEYS_HELP
+        where, hands, text = "the terminal", Keyboard(level), KEYS_HELP
     else:
-        hands = GamepadDevice(deadman=deadman, yaw_axis=yaw_axis, level=level)
-        hands.path, text = gamepad, PAD_HELP.format(deadman=deadman)
+        hands = GamepadDevice(
+            deadman=_code(BUTTONS, deadman, "--deadman"),
+            yaw_axis=_code(AXES, yaw_axis, "--yaw-axis"),
+            level=level,
+        )
+        hands.path, text = _find_gamepad(gamepad), PAD_HELP.format(deadman=deadman)
+        where = str(hands.path)
     with connected() as robot:
         typer.echo(text)
         try:
@@ -318,9 +358,14 @@ def teleop(
         except (OSError, termios.error) as error:
             if isinstance(error, ConnectionError | TimeoutError):
                 raise
-            where = gamepad or "the terminal"
             typer.echo(f"{where}: {error}; the robot was told to stop. Connect it and start again.", err=True)
             raise typer.Exit(2) from None
         finally:
             sys.stdout.flush()
     typer.echo("The robot stands still; whether it is armed has not changed.")
+
+
+def _code(codes: dict[str, int], name: str, option: str) -> int:
+    if name not in codes:
+        raise typer.BadParameter(f"{name} is none of {', '.join(codes)}", param_hint=option)
+    return codes[name]

@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import pty
+import sys
 import threading
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
+from tiger.cli.main import app
 from tiger.cli.teleop import (
-    AXIS,
-    BUTTON,
+    ABS,
+    AXES,
+    BUTTONS,
     DEAD_ZONE,
+    DPAD_Y,
     EVENT,
     FIRST_HOLD_S,
-    FULL,
-    INITIAL,
+    KEY,
     LEVELS,
     MOVES,
     REPEAT_HOLD_S,
+    SELECT,
+    START,
     STILL,
+    SYN,
+    SYN_DROPPED,
     Gamepad,
     GamepadDevice,
     Keyboard,
@@ -33,6 +42,9 @@ from tiger.cli.teleop import (
     operate,
 )
 from tiger.daemon.client import Refused, Robot
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 # ----------------------------------------------------------------------------------------- keyboard
 
@@ -91,12 +103,15 @@ def test_whatever_is_typed_motion_ends_after_the_last_key(typed: list[tuple[str,
 # ------------------------------------------------------------------------------------------ gamepad
 
 
-def event(kind: int, number: int, value: int) -> bytes:
-    return EVENT.pack(0, value, kind, number)
+def event(kind: int, code: int, value: int) -> bytes:
+    return EVENT.pack(1_700_000_000, 999_999, kind, code, value) + EVENT.pack(
+        1_700_000_000, 999_999, SYN, 0, 0
+    )
 
 
-HOLD, LET_GO = event(BUTTON, 4, 1), event(BUTTON, 4, 0)
-FORWARD = event(AXIS, 1, -32767)
+SHOULDER = BUTTONS["left-shoulder"]
+HOLD, LET_GO = event(KEY, SHOULDER, 1), event(KEY, SHOULDER, 0)
+FORWARD = event(ABS, AXES["y"], -32768)
 
 
 def test_a_stick_moves_only_while_the_dead_man_button_is_held() -> None:
@@ -109,35 +124,47 @@ def test_a_stick_moves_only_while_the_dead_man_button_is_held() -> None:
     assert pad.motion(0.0) == STILL
 
 
-def test_a_button_held_when_the_gamepad_is_opened_is_nobodys_wish() -> None:
+def test_a_button_that_repeats_is_still_held() -> None:
     pad = Gamepad()
-    pad.feed(event(BUTTON | INITIAL, 4, 1) + FORWARD)
-    assert pad.motion(0.0) == STILL
-
-
-def test_a_release_among_lost_events_is_noticed() -> None:
-    """After its queue ran over, the kernel tells the state of everything again, marked as initial."""
-    pad = Gamepad()
-    pad.feed(HOLD + FORWARD + event(BUTTON | INITIAL, 0, 0))
+    pad.feed(FORWARD + HOLD + event(KEY, SHOULDER, 2))
     assert pad.motion(0.0) == (1.0, 0.0)
-    pad.feed(event(BUTTON | INITIAL, 4, 0))
+
+
+def test_after_lost_events_the_dead_man_button_must_be_pressed_again() -> None:
+    pad = Gamepad()
+    pad.feed(HOLD + FORWARD + EVENT.pack(0, 0, SYN, SYN_DROPPED, 0))
     assert pad.motion(0.0) == STILL
+    pad.feed(FORWARD)
+    assert pad.motion(0.0) == STILL
+    pad.feed(HOLD)
+    assert pad.motion(0.0) == (1.0, 0.0)
 
 
 def test_left_on_the_stick_turns_left_and_small_deflections_do_nothing() -> None:
     pad = Gamepad()
-    pad.feed(HOLD + event(AXIS, 3, -32767) + event(AXIS, 1, int(0.9 * DEAD_ZONE * FULL)))
+    pad.feed(HOLD + event(ABS, AXES["rx"], -32768) + event(ABS, AXES["y"], int(0.9 * DEAD_ZONE * 32768)))
     assert pad.motion(0.0) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0, 255), (-32768, 32767), (0, 65535), (-128, 127)])
+def test_a_stick_of_any_range_reaches_both_ends_and_rests_in_its_middle(low: int, high: int) -> None:
+    pad = Gamepad(ranges={AXES["y"]: (low, high)})
+    pad.feed(HOLD)
+    for value, part in ((low, 1.0), (high, -1.0), ((low + high) // 2, 0.0)):
+        pad.feed(event(ABS, AXES["y"], value))
+        assert pad.motion(0.0) == pytest.approx((part, 0.0), abs=1e-3)
 
 
 def test_buttons_ask_when_pressed_and_the_pad_steps_the_level() -> None:
     pad = Gamepad()
-    pressed = b"".join(event(BUTTON, n, 1) + event(BUTTON, n, 0) for n in (7, 6, 1, 0))
+    pressed = b"".join(
+        event(KEY, code, 1) + event(KEY, code, 0) for code in (START, SELECT, BUTTONS["b"], BUTTONS["a"])
+    )
     assert pad.feed(pressed) == ["arm", "disarm", "estop"]
-    up = event(AXIS, 7, -32767) + event(AXIS, 7, 0)
+    up = event(ABS, DPAD_Y, -1) + event(ABS, DPAD_Y, 0)
     pad.feed(up * 9)
     assert pad.level == LEVELS
-    pad.feed(event(AXIS, 7, 32767))
+    pad.feed(event(ABS, DPAD_Y, 1))
     assert pad.level == LEVELS - 1
 
 
@@ -195,17 +222,101 @@ def test_it_says_what_it_does_once() -> None:
     assert said == ["ARMED: ", "level 1: +0.60 m/s, +0 degrees/s", "level 1: +0.00 m/s, +0 degrees/s"]
 
 
-def test_a_lost_gamepad_stops_the_robot() -> None:
-    reading, writing = os.pipe()
-    os.write(writing, HOLD + FORWARD)
-    os.close(writing)
+class FakeDevice:
+    """A named pipe in place of /dev/input/event*: what is written to it, the gamepad does."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "event7"
+        os.mkfifo(self.path)
+        self._end = os.open(self.path, os.O_RDWR)
+
+    def do(self, events: bytes) -> None:
+        os.write(self._end, events)
+
+    def vanish(self) -> None:
+        os.close(self._end)
+
+
+def test_a_lost_gamepad_stops_the_robot(tmp_path: Path) -> None:
+    device = FakeDevice(tmp_path)
     pad = GamepadDevice()
-    pad._device = reading
+    pad.path = device.path
     robot = FakeRobot()
-    with pytest.raises(OSError, match="gone"):
-        operate(pad, Teleop(robot, lambda _: None))  # type: ignore[arg-type]
+    with pad:
+        device.do(HOLD + FORWARD)
+        device.vanish()
+        with pytest.raises(OSError, match="gone"):
+            operate(pad, Teleop(robot, lambda _: None))  # type: ignore[arg-type]
     assert robot.asked[-1][0] == "release"
-    os.close(reading)
+
+
+def test_a_gamepad_that_the_kernel_takes_away_stops_the_robot(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    device = FakeDevice(tmp_path)
+    pad = GamepadDevice()
+    pad.path = device.path
+    robot = FakeRobot()
+    with pad:
+        device.do(HOLD + FORWARD)
+
+        def gone(*_: object) -> bytes:
+            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+
+        monkeypatch.setattr(os, "read", gone)
+        with pytest.raises(OSError, match="No such device"):
+            operate(pad, Teleop(robot, lambda _: None))  # type: ignore[arg-type]
+    assert robot.asked[-1][0] == "release"
+    device.vanish()
+
+
+def test_a_person_with_a_gamepad_arms_drives_and_lets_go_and_the_gamepad_vanishes(
+    running: Any, tmp_path: Path
+) -> None:
+    """Real events through a pipe and the real socket to the daemon on the emulated robot."""
+    device = FakeDevice(tmp_path)
+    pad = GamepadDevice(level=2)
+    pad.path = device.path
+    daemon = running.rig.daemon
+    speeds: dict[str, float] = {}
+
+    def drive() -> None:
+        device.do(event(KEY, START, 1) + event(KEY, START, 0))
+        _until(lambda: daemon.state.name == "ARMED")
+        device.do(FORWARD)
+        time.sleep(0.3)
+        speeds["stick alone"] = daemon.command.speed_mps
+        device.do(HOLD)
+        _until(lambda: daemon.command.speed_mps != 0.0)
+        speeds["held"] = daemon.command.speed_mps
+        device.do(LET_GO)
+        _until(lambda: daemon.command.speed_mps == 0.0)
+        speeds["let go"] = daemon.command.speed_mps
+        device.do(event(ABS, DPAD_Y, -1) + HOLD)
+        _until(lambda: daemon.command.speed_mps != 0.0)
+        speeds["held at level 3"] = daemon.command.speed_mps
+        device.vanish()
+
+    person = threading.Thread(target=drive)
+    with Robot() as robot, pad:
+        person.start()
+        with pytest.raises(OSError, match="gone"):
+            operate(pad, Teleop(robot, lambda _: None))
+        person.join()
+    assert speeds == pytest.approx({"stick alone": 0.0, "held": 1.2, "let go": 0.0, "held at level 3": 1.8})
+    _until(lambda: running.api.desk.helm is None)
+    assert daemon.command.speed_mps == 0.0
+    assert running.api.desk.helm is None
+
+
+@pytest.mark.parametrize("options", [["--deadman", "pedal"], ["--yaw-axis", "w"]])
+def test_a_button_or_stick_that_does_not_exist_is_refused_with_those_that_do(
+    monkeypatch: pytest.MonkeyPatch, options: list[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["tiger", "teleop"])
+    done = CliRunner().invoke(app, ["teleop", "--gamepad", "/dev/input/event7", *options])
+    assert done.exit_code == 2
+    assert "is none of" in done.output
 
 
 def test_a_person_at_a_terminal_arms_drives_and_lets_go(running: Any) -> None:
