@@ -1,0 +1,252 @@
+"""The limiter: the part of a speed and yaw rate command that does not bring the robot near tipping.
+
+It asks what the command would do once carried out, not what has happened. Driving at v and r on a slope the
+ground pushes with f = (a_x - g_x, v r - g_y, g_n) in its plane, per unit mass. The centre of pressure moves
+by h f/g_n, and because the springs let the body lean and gravity leans on it, by 1/(1 - c g_n) as much, c the
+sway of `tip_over.Stance`. Setting that to `load_transfer_max` of the way to an edge bounds lateral and
+longitudinal acceleration. Where the tyres would slide first there is no bound.
+
+- *Curvature.* |v r| within the bound: the speed goes to where the commanded path can be driven, and until it
+  is there the yaw rate is what the present speed allows.
+- *Slope.* Ground that gets steeper towards the bound lowers the speed so that the robot stops before it; from
+  there it may go back the way it came. It does not turn into a heading that the slope does not allow.
+- *Braking and speeding up* stay within the longitudinal bound.
+- *After a trip* it stops.
+
+Nothing here jumps unless the command does, and the drive's ramps follow behind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import copysign, cos, hypot, inf, sin, sqrt
+from typing import TYPE_CHECKING
+
+from tiger.control.tip_over import FRONT, LEFT, REAR, RIGHT
+from tiger.models.full_car import GRAVITY_MPS2
+from tiger.record import LimitCause
+
+if TYPE_CHECKING:
+    from tiger.config.robot import RobotConfig
+    from tiger.control.tip_over import Stance
+
+SPEED, CURVATURE, ACCELERATION = 1, 2, 4
+"""Bits of `Stability.limited`."""
+
+LEAST_RIGIDITY = 0.1
+"""Of 1 - c g_n: a load so high that the springs hardly carry it upright."""
+
+
+@dataclass(frozen=True, slots=True)
+class LimiterDesign:
+    """What the limiter takes from the config, SI."""
+
+    load_transfer_max: float
+    friction_max: float
+    acceleration_mps2: float
+    brake_min_mps2: float
+    crawl_mps: float
+    crawl_radps: float
+    foresight_s: float
+    trend_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class LimiterState:
+    """What one sample leaves to the next."""
+
+    speed_mps: float = 0.0
+    """Commanded, within the accelerations."""
+    used: float = 0.0
+    """How much of the way to the nearest edge the slope takes at rest (1: all)."""
+    trend_per_s: float = 0.0
+    """How fast that grows."""
+    worse: int = 0
+    """Direction of travel in which it grew when it last did: 1 forward, -1 backward."""
+
+
+@dataclass(frozen=True, slots=True)
+class Allowed:
+    """The command as far as it is safe, and what was taken away."""
+
+    speed_mps: float
+    yaw_rate_radps: float
+    limited: int = 0
+    cause: LimitCause = LimitCause.NOTHING
+    would_tip: bool = False
+    """The command as given would bring the net force over an edge."""
+
+
+def design_limiter(robot: RobotConfig) -> LimiterDesign:
+    """Bring the config into SI."""
+    config = robot.stability
+    return LimiterDesign(
+        load_transfer_max=config.load_transfer_max,
+        friction_max=config.friction_max,
+        acceleration_mps2=robot.drive.acceleration_mps2,
+        brake_min_mps2=config.brake_min_mps2,
+        crawl_mps=config.crawl_mps,
+        crawl_radps=config.crawl_mps / robot.vehicle.body.half_track_m,
+        foresight_s=config.foresight_s,
+        trend_s=config.trend_s,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Footing:
+    """What ground and load leave, for one stance on one slope. Pairs are forward and to the left."""
+
+    to_edge_mps2: tuple[float, float]
+    """Push along the ground that brings the centre of pressure from the middle to an edge."""
+    slope_mps2: tuple[float, float]
+    """Gravity along the ground's plane."""
+    offset_mps2: tuple[float, float]
+    """The push that moves it as much as the COM's offset and the lean by the strokes do."""
+    grip_mps2: float
+    """The most that the tyres push along the ground."""
+
+    def bound(self, edge: int, share: float) -> float:
+        """Acceleration away from an edge that takes the centre of pressure `share` of the way to it.
+
+        Infinite where the tyres slide before the robot tips.
+        """
+        axis, sign = _OUTWARD[edge]
+        push, offset = self.to_edge_mps2[axis], sign * self.offset_mps2[axis]
+        if push - offset > self.grip_mps2:
+            return inf
+        return share * push - offset - sign * self.slope_mps2[axis]
+
+    def used(self, heading_rad: float = 0.0) -> float:
+        """Share of the way to the nearest edge that is used at rest, after turning left by an angle."""
+        c, s = cos(heading_rad), sin(heading_rad)
+        (x, y), (offset_x, offset_y) = self.slope_mps2, self.offset_mps2
+        along, across = c * x + s * y + offset_x, c * y - s * x + offset_y
+        return max(abs(along) / self.to_edge_mps2[0], abs(across) / self.to_edge_mps2[1])
+
+
+_OUTWARD = {LEFT: (1, 1.0), RIGHT: (1, -1.0), FRONT: (0, 1.0), REAR: (0, -1.0)}
+
+
+def footing(stance: Stance, plane_rad: tuple[float, float], friction: float) -> Footing:
+    """Return what a ground of slope `plane_rad` (roll, pitch) leaves to the body as its strokes lean it.
+
+    The centre of pressure is (h f/g_n + h lean + offset)/(1 - c g_n) from the middle. Leaning moves the COM
+    by its height times the angle: to the right with roll, forward with pitch.
+    """
+    roll, pitch = plane_rad
+    normal = GRAVITY_MPS2 * cos(roll) * cos(pitch)
+    per_m = normal / stance.height_m
+    rigid_x = max(1.0 - stance.pitch_sway_s2pm * normal, LEAST_RIGIDITY)
+    rigid_y = max(1.0 - stance.roll_sway_s2pm * normal, LEAST_RIGIDITY)
+    left, right, front, rear = stance.reach_m
+    lean_roll, lean_pitch = stance.strokes_rad
+    return Footing(
+        to_edge_mps2=(0.5 * (front + rear) * rigid_x * per_m, 0.5 * (left + right) * rigid_y * per_m),
+        slope_mps2=(GRAVITY_MPS2 * sin(pitch), -GRAVITY_MPS2 * sin(roll)),
+        offset_mps2=(
+            0.5 * (rear - front) * per_m + lean_pitch * normal,
+            0.5 * (right - left) * per_m - lean_roll * normal,
+        ),
+        grip_mps2=friction * normal,
+    )
+
+
+def step(
+    design: LimiterDesign,
+    state: LimiterState,
+    ground: Footing,
+    command: tuple[float, float],
+    moving_mps: float,
+    tripped: bool,
+    dt: float,
+) -> tuple[LimiterState, Allowed]:
+    """Limit a command (speed in m/s, yaw rate in rad/s) of a robot that moves at `moving_mps`."""
+    share = design.load_transfer_max
+    asked_speed, asked_yaw = command
+    speed, yaw = command
+    limited, cause = 0, LimitCause.NOTHING
+
+    # The turn: a = v r, to the left when positive, presses on the right edge, and the other way round.
+    turn = speed * yaw
+    outer = RIGHT if turn > 0.0 else LEFT
+    least = design.crawl_mps * design.crawl_radps
+    most = max(ground.bound(outer, share), least)
+    would_tip = abs(turn) > max(ground.bound(outer, 1.0), least)
+    if abs(turn) > most:
+        path = sqrt(most / abs(turn))
+        speed, yaw = speed * path, yaw * path
+        limited, cause = SPEED, LimitCause.TURN
+    fastest = max(abs(moving_mps), abs(state.speed_mps))
+    if fastest * abs(yaw) > most:
+        yaw = copysign(most / fastest, yaw)
+        limited, cause = limited | CURVATURE, LimitCause.TURN
+
+    # The slope: stop before it takes too much, go back, turn only where it takes less.
+    brake = max(min(ground.bound(FRONT, share), ground.bound(REAR, share)), design.brake_min_mps2)
+    used, trend, worse = _trend(design, state, ground.used(), moving_mps, dt)
+    ahead = max(used, used + trend * design.foresight_s)
+    if ahead > share:
+        worsens = worse == 0 or speed * worse > 0.0
+        crawl = 0.0 if worsens and worse else design.crawl_mps
+        if abs(speed) > crawl:
+            speed, limited, cause = copysign(crawl, speed), limited | SPEED, LimitCause.SLOPE
+    elif trend > 0.0 and speed * worse > 0.0 and abs(moving_mps) > design.crawl_mps:
+        per_m = trend / abs(moving_mps)
+        stopping = sqrt(min(design.acceleration_mps2, brake) * (share - ahead) / per_m)  # half the braking
+        if abs(speed) > max(stopping, design.crawl_mps):
+            speed = copysign(max(stopping, design.crawl_mps), speed)
+            limited, cause = limited | SPEED, LimitCause.SLOPE
+    turned = _turn(design, ground, used, yaw)
+    if turned != yaw:
+        yaw, limited, cause = turned, limited | CURVATURE, LimitCause.SLOPE
+
+    if tripped and (speed or yaw):
+        speed, yaw, limited, cause = 0.0, 0.0, limited | SPEED, LimitCause.TRIP
+
+    slewed = _slew(design, state.speed_mps, speed, ground, share, dt)
+    forced = design.acceleration_mps2 > min(ground.bound(FRONT, share), ground.bound(REAR, share))
+    if forced and slewed != speed:
+        speed, limited = slewed, limited | ACCELERATION
+        cause = cause or LimitCause.BRAKING
+    known = LimiterState(slewed, used, trend, worse)
+    if not asked_speed and not asked_yaw and not limited & ACCELERATION:
+        limited, cause = 0, LimitCause.NOTHING
+    return known, Allowed(speed, yaw, limited, cause, would_tip or used > 1.0)
+
+
+def _trend(
+    design: LimiterDesign, state: LimiterState, used: float, moving_mps: float, dt: float
+) -> tuple[float, float, int]:
+    """Follow how much the slope takes, how fast that grows, and in which direction of travel it does."""
+    if not dt or not state.used:
+        return used, state.trend_per_s, state.worse
+    gain = min(1.0, dt / design.trend_s)
+    trend = state.trend_per_s + gain * ((used - state.used) / dt - state.trend_per_s)
+    worse = state.worse
+    if abs(moving_mps) > 0.5 * design.crawl_mps and abs(trend) > 0.01:
+        worse = 1 if trend * moving_mps > 0.0 else -1
+    return used, trend, worse
+
+
+def _turn(design: LimiterDesign, ground: Footing, used: float, yaw: float) -> float:
+    """The part of a yaw rate that keeps the heading within what the slope allows."""
+    share = design.load_transfer_max
+    if not yaw or hypot(*ground.slope_mps2) + max(map(abs, ground.offset_mps2)) < share * min(
+        ground.to_edge_mps2
+    ):
+        return yaw  # no heading is in question
+    after = ground.used(yaw * design.foresight_s)
+    if after <= max(share, used):
+        return yaw if used <= share else copysign(min(abs(yaw), design.crawl_radps), yaw)
+    room = max(share - used, 0.0)
+    return yaw * room / (after - used)
+
+
+def _slew(
+    design: LimiterDesign, now: float, wanted: float, ground: Footing, share: float, dt: float
+) -> float:
+    """Bring a speed to `wanted` within the accelerations allowed forward (rear edge) and backward (front)."""
+    most = design.acceleration_mps2
+    forward = max(design.brake_min_mps2, min(most, ground.bound(REAR, share)))
+    backward = max(design.brake_min_mps2, min(most, ground.bound(FRONT, share)))
+    return min(now + forward * dt, max(now - backward * dt, wanted))
