@@ -144,8 +144,11 @@ _QUERIES = {
         _Query("MXRPM", (2,), 10, RPM_LIMIT),
     )
 }
-# One of these follows the speeds in each cycle; the fault flags come every other time.
-_SLOW_QUERIES = ("FF", "A", "FF", "BA", "FF", "V", "FF", "FS", "FF", "FM", "FF", "T")
+# One of these follows the speeds in each cycle; the fault flags come every other time. The watchdog is among
+# them because a controller that lost power for a moment, unnoticed, is back at the one it came with.
+_SLOW_QUERIES = tuple(
+    line for slow in ("?A", "?BA", "?V", "?FS", "?FM", "?T", "~RWD") for line in ("?FF", slow)
+)
 _NUMBER = rb"(?:0|-?[1-9][0-9]{0,4})"  # as the controller writes it: no leading zero, no minus zero
 _ANSWER = re.compile(rb"([A-Z]{1,5})=(%b(?::%b){0,3})" % (_NUMBER, _NUMBER))
 _SETTING = (b"!", b"^")
@@ -465,6 +468,8 @@ class Roboteq:
             self.flags[name] = values[0]
         elif name == "FM":
             self.flags["FM1"], self.flags["FM2"] = values
+        elif name == "RWD" and values[0] != self.watchdog_ms:
+            self._begin_anew(now_s)
         elif name == "S":
             plausible = last is not None and _near(values, last)
             if plausible and {"V", "FF"} <= self.readings.keys():
@@ -523,7 +528,7 @@ class Roboteq:
             return speeds + read_back
         if self._go and self.phase is Phase.HOLDING:
             return ["!MG"]
-        return [f"?{self._queries.popleft()}"] * ASKED if self._queries else []
+        return [self._queries.popleft()] * ASKED if self._queries else []
 
     def _configuring(self) -> list[str]:
         line = self._configuration[self._step]
@@ -533,7 +538,7 @@ class Roboteq:
         """The next command comes a period later; until then there is time for two queries."""
         due_s = self._motor_due_s + self.period_s
         self._motor_due_s = due_s if due_s > now_s else now_s + self.period_s
-        self._queries = deque(("S", _SLOW_QUERIES[self._slow]))
+        self._queries = deque(("?S", _SLOW_QUERIES[self._slow]))
         self._slow = (self._slow + 1) % len(_SLOW_QUERIES)
 
     def _failed(self, now_s: float) -> None:
@@ -566,6 +571,9 @@ class Roboteq:
         """Without confirmed commands the watchdog has stopped the motors, or power was lost: begin anew."""
         if self.phase is Phase.CONFIGURING or now_s - self._confirmed_s < self.gap_s:
             return
+        self._begin_anew(now_s)
+
+    def _begin_anew(self, now_s: float) -> None:
         self.gaps += self.phase is Phase.RUNNING
         self.connected(now_s)
 

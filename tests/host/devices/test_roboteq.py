@@ -183,6 +183,18 @@ def test_a_controller_that_lost_power_is_configured_again() -> None:
     assert bench.driver.ready
 
 
+def test_a_controller_that_lost_power_for_a_moment_gets_its_watchdog_back() -> None:
+    bench = Bench().started()
+    bench.run(100, command=(50.0, 50.0))
+    bench.controller.reboot()  # so quickly that no exchange fails for it
+    assert bench.phase() is Phase.RUNNING
+    bench.run(400, command=(50.0, 50.0))
+    assert bench.driver.gaps == 1
+    bench.run(400, command=(50.0, 50.0))
+    assert bench.phase() is Phase.HOLDING
+    assert bench.controller._settings["RWD"] == [WATCHDOG_MS]
+
+
 def test_a_watchdog_that_cannot_be_set_is_a_problem() -> None:
     bench = Bench()
     bench.controller._set = lambda name, numbers: "+"  # type: ignore[method-assign]
