@@ -184,42 +184,48 @@ def _normal_equations(
     s: ComplexArray, h: ComplexArray, weight: Array, x: Array, shape: tuple[int, int, int]
 ) -> tuple[float, Array, Array]:
     """Return the cost, J'J and J'r of the weighted residual, J = dH / dx."""
-    jacobian, model = jacobian_of(s, x, shape)
-    size = len(x)
-    r = ((h - model) * weight).reshape(-1)
-    rows = (jacobian * weight[..., None]).reshape(-1, size)
-    on = weight.reshape(-1) > 0
-    rows, r = rows[on], r[on]
-    stacked = np.concatenate([rows.real, rows.imag])
-    target = np.concatenate([r.real, r.imag])
-    return float(target @ target), stacked.T @ stacked, stacked.T @ target
+    jacobian, index, model = jacobian_of(s, x, shape)
+    residual = (h - model) * weight
+    rows = jacobian * weight[..., None]
+    # One small product per path: real parts and imaginary parts below one another.
+    by_path = np.concatenate([rows.real, rows.imag]).transpose(1, 2, 0, 3)
+    target = np.concatenate([residual.real, residual.imag]).transpose(1, 2, 0)[..., None]
+    turned = by_path.swapaxes(-1, -2)
+    information, gradient = np.zeros((len(x), len(x))), np.zeros(len(x))
+    np.add.at(information, (index[..., :, None], index[..., None, :]), turned @ by_path)
+    np.add.at(gradient, index, (turned @ target)[..., 0])
+    return float(np.sum(target**2)), information, gradient
 
 
-def jacobian_of(s: ComplexArray, x: Array, shape: tuple[int, int, int]) -> tuple[ComplexArray, ComplexArray]:
-    """Return dH/dx (k, outputs, inputs, parameters) and H (k, outputs, inputs)."""
+def jacobian_of(
+    s: ComplexArray, x: Array, shape: tuple[int, int, int]
+) -> tuple[ComplexArray, NDArray[np.int64], ComplexArray]:
+    """Return what dH/dx (k, outputs, inputs, 3 n + 1) is not zero, which parameters those are (outputs,
+    inputs, 3 n + 1), and H (k, outputs, inputs).
+
+    A path depends on the poles, its own column of B, its own row of C and its own entry of D.
+    """
     pairs, inputs, outputs = shape
-    n = 2 * pairs
+    n, lines = 2 * pairs, len(s)
     blocks, b, c, d = _unpack(x, shape)
     states = _states(s, blocks, b)
     inverse = _resolvent(s, blocks)
     read = np.einsum("opi,kpij->kopj", c.reshape(outputs, pairs, 2), inverse)  # C (s - A)^-1
-    jacobian = np.zeros((len(s), outputs, inputs, len(x)), dtype=complex)
     # dA = -dk e2 e1' - dg e2 e2' in each block.
-    by_block = states.reshape(len(s), pairs, 2, inputs)
+    by_block = states.reshape(lines, pairs, 2, inputs)
     from_a = -np.einsum("kop,kpim->kompi", read[..., 1], by_block)
-    jacobian[..., :n] = from_a.reshape(len(s), outputs, inputs, n)
-    flat_read = read.reshape(len(s), outputs, n)
-    at_b = jacobian[..., n : n + n * inputs].reshape(len(s), outputs, inputs, n, inputs)
-    for j in range(inputs):
-        at_b[:, :, j, :, j] = flat_read
-    at_c = jacobian[..., n + n * inputs : n + n * (inputs + outputs)].reshape(
-        len(s), outputs, inputs, outputs, n
-    )
-    for i in range(outputs):
-        at_c[:, i, :, i, :] = np.moveaxis(states, 1, 2)
-    at_d = np.eye(outputs * inputs).reshape(outputs, inputs, outputs * inputs)
-    jacobian[..., n + n * (inputs + outputs) :] = at_d
-    return jacobian, c @ states + d
+    jacobian = np.ones((lines, outputs, inputs, 3 * n + 1), dtype=complex)
+    jacobian[..., :n] = from_a.reshape(lines, outputs, inputs, n)
+    jacobian[..., n : 2 * n] = read.reshape(lines, outputs, 1, n)
+    jacobian[..., 2 * n : 3 * n] = states.transpose(0, 2, 1)[:, None]
+    at_b, at_c, at_d = n, n + n * inputs, n + n * (inputs + outputs)
+    i, j, state = np.ogrid[:outputs, :inputs, :n]
+    index = np.empty((outputs, inputs, 3 * n + 1), dtype=np.int64)
+    index[..., :n] = state
+    index[..., n : 2 * n] = at_b + state * inputs + j
+    index[..., 2 * n : 3 * n] = at_c + i * n + state
+    index[..., 3 * n] = at_d + (i * inputs + j)[..., 0]
+    return jacobian, index, c @ states + d
 
 
 def _identified(data: FrfData, fit: Fit, hankel: Array) -> IdentifiedModel:
@@ -257,8 +263,10 @@ def response_std(model: IdentifiedModel, frequency_hz: Sequence[float] | Array) 
     s = 2j / model.sample_s * np.tan(np.pi * np.asarray(frequency_hz) * model.sample_s)
     blocks = np.column_stack([-model.a[1::2, ::2].diagonal(), -model.a[1::2, 1::2].diagonal()])
     shape = (len(blocks), model.b.shape[1], model.c.shape[0])
-    jacobian, _ = jacobian_of(s, _pack(blocks, model.b, model.c, model.d), shape)
-    covariance = model.parameter_covariance
-    real = np.einsum("...i,ij,...j->...", jacobian.real, covariance, jacobian.real)
-    imag = np.einsum("...i,ij,...j->...", jacobian.imag, covariance, jacobian.imag)
-    return np.sqrt(real), np.sqrt(imag)
+    jacobian, index, _ = jacobian_of(s, _pack(blocks, model.b, model.c, model.d), shape)
+    covariance = model.parameter_covariance[index[..., :, None], index[..., None, :]]
+    real, imag = (
+        np.sqrt(np.einsum("k...i,...ij,k...j->k...", part, covariance, part, optimize=True))
+        for part in (jacobian.real, jacobian.imag)
+    )
+    return real, imag
