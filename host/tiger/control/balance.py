@@ -1,8 +1,8 @@
 """Mode `balance`: which twist of the four strokes lets all four wheels carry their share (Figure 4.15).
 
-Roll, pitch and ride are levelled as ever; the fourth motion of the strokes, warp, which levelling keeps at
-zero, follows the twist of the ground. `estimation.contact` says what is known of that. A table of four phases
-decides what to do with it:
+The fourth motion of the strokes, warp, which levelling keeps at zero, follows the twist of the ground; roll,
+pitch and ride are levelled as far as that leaves them. `estimation.contact` says what is known of the ground,
+a table of four phases what to do with it:
 
     probe   nothing has been tried yet: a small twist shows whether a wheel hangs
     search  a wheel hangs: twist it down, as far as it takes
@@ -12,6 +12,7 @@ decides what to do with it:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING
@@ -55,8 +56,8 @@ class Situation:
     contact: Contact
     warp_mm: float
     """Twist of the strokes now."""
-    reach_mm: tuple[float, float]
-    """Twists that the attitude leaves to the strokes."""
+    most_mm: float
+    """The most twist that the strokes have, to either side."""
 
     @property
     def level_mm(self) -> float:
@@ -65,7 +66,7 @@ class Situation:
 
     def clip(self, warp_mm: float) -> float:
         """Return the nearest twist within reach."""
-        return min(max(warp_mm, self.reach_mm[0]), self.reach_mm[1])
+        return min(max(warp_mm, -self.most_mm), self.most_mm)
 
 
 def step(config: BalanceConfig, state: BalanceState, now: Situation) -> BalanceState:
@@ -130,7 +131,7 @@ def _probing_mm(config: BalanceConfig, state: BalanceState, now: Situation) -> f
 
 
 def _searching_mm(config: BalanceConfig, state: BalanceState, now: Situation) -> float:
-    return now.reach_mm[1] if _lifted(now.contact) > 0.0 else now.reach_mm[0]
+    return math.copysign(now.most_mm, _lifted(now.contact))
 
 
 def _centring_mm(config: BalanceConfig, state: BalanceState, now: Situation) -> float:

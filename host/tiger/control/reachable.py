@@ -91,13 +91,19 @@ class Suspension:
             nearest[1], pitch_rad, abs_tol=1e-9
         )
 
-    def nearest(self, roll_rad: float, pitch_rad: float) -> tuple[float, float]:
+    def nearest(self, roll_rad: float, pitch_rad: float, warp_mm: float = 0.0) -> tuple[float, float]:
         """Return the reachable roll and pitch relative to the wheels with the least error to those given.
 
         The reachable set is the rhombus roll/roll_max + pitch/pitch_max <= 1: all four corners of a plane
-        must find their lift in one range. This is the projection on it.
+        must find their lift in one range. This is the projection on it. A twist cuts its corners off: with it
+        the wheels of one side, or of one axle, are 2 (|y roll| + |warp|) or 2 (|x pitch| + |warp|) apart.
         """
         span = self.lift_high_mm - self.lift_low_mm
+        if warp_mm != 0.0:
+            room = max(0.0, 0.5 * span - abs(warp_mm))
+            most_roll, most_pitch = room / self.y_mm[0], 2.0 * room / (self.x_mm[0] - self.x_mm[2])
+            roll_rad = min(most_roll, max(-most_roll, roll_rad))
+            pitch_rad = min(most_pitch, max(-most_pitch, pitch_rad))
         # Highest and lowest corner of the plane are 2 half_track |roll| + wheelbase |pitch| apart.
         across, along = 2.0 * self.y_mm[0], self.x_mm[0] - self.x_mm[2]
         excess = across * abs(roll_rad) + along * abs(pitch_rad) - span
@@ -111,13 +117,10 @@ class Suspension:
             roll, pitch = span / across, 0.0
         return math.copysign(roll, roll_rad), math.copysign(pitch, pitch_rad)
 
-    def warp_range_mm(self, roll_rad: float, pitch_rad: float) -> tuple[float, float]:
-        """Return the lowest and highest twist that a reachable attitude leaves to the lifts."""
-        fl, fr, rl, rr = self.lifts_mm(Pose(roll_rad, pitch_rad, 0.0))
-        span = self.lift_high_mm - self.lift_low_mm
-        lowest = 0.5 * (max(fr, rl) - min(fl, rr) - span)
-        highest = 0.5 * (span - max(fl, rr) + min(fr, rl))
-        return min(lowest, 0.0), max(highest, 0.0)
+    @property
+    def warp_most_mm(self) -> float:
+        """The most twist, to either side, of a body that is level to its wheels."""
+        return 0.5 * (self.lift_high_mm - self.lift_low_mm)
 
     def ride_range_mm(self, roll_rad: float, pitch_rad: float, warp_mm: float = 0.0) -> tuple[float, float]:
         """Return the lowest and highest ride that leave a reachable attitude and twist their lifts."""

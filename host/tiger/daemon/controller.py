@@ -129,7 +129,7 @@ def step(
     if not inputs.armed:
         return _at_rest(state), Outputs(estimate=estimate, reason="not armed")
 
-    balancing = _balancing(design, state, command, strokes.stroke_mm, estimate)
+    balancing = _balancing(design, state, command, strokes.stroke_mm)
     target, reason = _target(design, command, _Known(estimate, ground, balancing, known.contact.contact))
     leveling, levelled = attitude.step(design.leveling, state.leveling, target, strokes.stroke_mm, dt)
     driving, wheel_rpm = drive.step(design.drive, state.drive, command, inputs, dt)
@@ -155,7 +155,7 @@ def step(
 
 
 def _balancing(
-    design: ControllerDesign, state: ControllerState, command: Command, stroke_mm: Four, estimate: Estimate
+    design: ControllerDesign, state: ControllerState, command: Command, stroke_mm: Four
 ) -> BalanceState:
     """Advance mode balance; in any other mode it waits at its beginning."""
     if command.mode is not Mode.BALANCE:
@@ -163,14 +163,8 @@ def _balancing(
     suspension = design.leveling.suspension
     at = suspension.curve.at
     fl, fr, rl, rr = (at(stroke)[0] for stroke in stroke_mm)
-    roll, pitch = suspension.nearest(
-        command.roll_rad - estimate.plate_roll_rad, command.pitch_rad - estimate.plate_pitch_rad
-    )
-    now = balance.Situation(
-        contact=state.situation.contact.contact,
-        warp_mm=suspension.pose((fl, fr, rl, rr)).warp_mm,
-        reach_mm=suspension.warp_range_mm(roll, pitch),
-    )
+    warp_mm = suspension.pose((fl, fr, rl, rr)).warp_mm
+    now = balance.Situation(state.situation.contact.contact, warp_mm, suspension.warp_most_mm)
     return balance.step(design.robot.balance, state.balance, now)
 
 
@@ -236,7 +230,7 @@ def _level(design: ControllerDesign, command: Command, known: _Known) -> Target 
 
 
 def _balance(design: ControllerDesign, command: Command, known: _Known) -> Target | None:
-    """As level, on the twist of the strokes that shares the load."""
+    """As level, as far as the twist of the strokes leaves it that shares the load: wheels first."""
     (roll, roll_rate), (pitch, pitch_rate) = _followable_ground(design, known)
     level = _posed(
         design,
@@ -296,13 +290,10 @@ def _posed(
     turning_radps: tuple[float, float] = (0.0, 0.0),
     warp_mm: float = 0.0,
 ) -> Target:
-    """Target the nearest reachable attitude, then the twist and the ride height as far as it leaves them."""
+    """Target the nearest attitude that the twist leaves, at the wanted ride as far as both leave it."""
     suspension = design.leveling.suspension
-    roll, pitch = suspension.nearest(roll_rad, pitch_rad)
+    roll, pitch = suspension.nearest(roll_rad, pitch_rad, warp_mm)
     unreachable = abs(roll - roll_rad) + abs(pitch - pitch_rad) > 1e-9
-    if warp_mm != 0.0:
-        least, most = suspension.warp_range_mm(roll, pitch)
-        warp_mm = min(max(warp_mm, least), most)
     lowest, highest = suspension.ride_range_mm(roll, pitch, warp_mm)
     wanted = design.leveling.ride_mm
     if command.ride_stroke_mm is not None:

@@ -93,6 +93,7 @@ class Contact:
     """What is known of contact."""
 
     ground_warp_mm: float = 0.0
+    """The median: as likely more as less."""
     sigma_mm: float = 0.0
     hanging: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     """Probability that a wheel carries nothing, FL FR RL RR."""
@@ -136,7 +137,7 @@ def design_contact(robot: RobotConfig) -> ContactDesign:
         suspension=Suspension.from_config(robot),
         track=ground_track.design_track(robot),
         grid_mm=grid_mm,
-        expected=_bell(grid_mm, 0.0, config.expected_twist_mm),
+        expected=_tent(grid_mm, config.expected_twist_mm),
         stiffness_npmm=0.001 * spring,
         mass_kg=mass_kg,
         com_height_m=(body.mass_kg * body.com_height_m + unsprung_kg * tire.rolling_radius_m) / mass_kg,
@@ -269,7 +270,8 @@ def _mixed(probability: Array, lift_off_mm: Four, twist_mm: Array) -> Array:
     total = probability.sum(axis=0)
     sides = np.stack([front * total, (1.0 - front) * total])
     mixed: Array = (1.0 - _OTHER_SIDE) * probability + _OTHER_SIDE * sides
-    return mixed / mixed.sum()
+    mixed /= mixed.sum()
+    return mixed
 
 
 def _first_off(front_mm: float, rear_mm: float) -> float:
@@ -309,18 +311,25 @@ def _driven(design: ContactDesign, belief: Belief, track: TrackState, driven_m: 
 
 def _found(design: ContactDesign, belief: Belief, twist_mm: float, lift_off_mm: Four) -> Contact:
     total = belief.probability.sum(axis=0)
-    mean_mm = float(total @ design.grid_mm)
-    spread = design.grid_mm - mean_mm
+    middle_mm = float(np.interp(0.5, np.cumsum(total) - 0.5 * total, design.grid_mm))
+    spread = design.grid_mm - middle_mm
     excess = _excess_mm(design.grid_mm + twist_mm, lift_off_mm)
     front, rear = belief.probability
     fl, fr = float(front[excess < 0.0].sum()), float(front[excess > 0.0].sum())
     rr, rl = float(rear[excess < 0.0].sum()), float(rear[excess > 0.0].sum())
     return Contact(
-        ground_warp_mm=mean_mm,
+        ground_warp_mm=middle_mm,
         sigma_mm=math.sqrt(float(total @ (spread * spread))),
         hanging=(fl, fr, rl, rr),
         lift_off_mm=(-min(lift_off_mm[0], lift_off_mm[3]), min(lift_off_mm[1], lift_off_mm[2])),
     )
+
+
+def _tent(grid_mm: Array, scale_mm: float) -> Array:
+    """Two-sided exponential probabilities: most ground is nearly flat, some is not at all."""
+    weight = np.exp(-np.abs(grid_mm) / scale_mm)
+    expected: Array = weight / weight.sum()
+    return expected
 
 
 def _bell(grid_mm: Array, mean_mm: float, sigma_mm: float) -> Array:
