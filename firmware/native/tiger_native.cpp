@@ -35,9 +35,9 @@ void tiger_board_run(tiger_board* board, uint32_t us) { board->run(us); }
 void tiger_board_turn(tiger_board* board, uint32_t us) { board->set_turn(us); }
 void tiger_board_hang(tiger_board* board, uint8_t interrupts_off) { board->hang(interrupts_off != 0); }
 
-void tiger_uart_write(tiger_board* board, uint8_t port, const uint8_t* bytes, uint32_t n) {
+void tiger_uart_write(tiger_board* board, uint8_t port, const uint8_t* bytes, uint32_t n, uint32_t delay_us) {
   tiger::VirtualUart* uart = board->uart(port);
-  if (uart != nullptr) uart->arrive(bytes, n, board->hal().now_ns());
+  if (uart != nullptr) uart->arrive(bytes, n, board->hal().now_ns() + uint64_t{delay_us} * 1000);
 }
 
 uint32_t tiger_uart_read(tiger_board* board, uint8_t port, uint8_t* buffer, uint32_t capacity) {

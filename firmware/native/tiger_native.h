@@ -29,8 +29,9 @@ void tiger_board_turn(tiger_board* board, uint32_t us);
 void tiger_board_hang(tiger_board* board, uint8_t interrupts_off);
 
 // Port 0 leads to the host (on the Nano: to the Mega), port 1 on mega_suspension to the Nano. Bytes travel at the baud
-// rate of the line: written ones arrive one after the other, read ones have had their stop bit.
-void tiger_uart_write(tiger_board* board, uint8_t port, const uint8_t* bytes, uint32_t n);
+// rate of the line: written ones arrive one after the other, the first not before `delay_us` and its time on the line
+// have passed; read ones have had their stop bit.
+void tiger_uart_write(tiger_board* board, uint8_t port, const uint8_t* bytes, uint32_t n, uint32_t delay_us);
 uint32_t tiger_uart_read(tiger_board* board, uint8_t port, uint8_t* buffer, uint32_t capacity);
 
 // The board's resonator is off by this much; and its clock starts at this reading after the next reset.

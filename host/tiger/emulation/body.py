@@ -5,21 +5,41 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from tiger.config.errors import ConfigError
+from tiger.native._core import ffi
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    import numpy as np
-    from numpy.typing import NDArray
 
     from tiger.config.vehicle import VehicleConfig
     from tiger.emulation.scenarios import Scenario
 
 Four = tuple[float, float, float, float]
+
+
+def _place(structure: str, field: str, length: int) -> slice:
+    """Where a field of a C struct of doubles lies in the array of its numbers."""
+    first = ffi.offsetof(structure, field) // ffi.sizeof("double")
+    return slice(first, first + length)
+
+
+PLATE = _place("tiger_body_command", "plate_rad", 2)
+LIFT = _place("tiger_body_command", "lift_m", 4)
+WHEEL_RPM = _place("tiger_body_command", "wheel_rpm", 4)
+COMMANDS = ffi.sizeof("tiger_body_command") // ffi.sizeof("double")
+
+ACCEL, RATE = _place("tiger_body_felt", "accel_mps2", 3), _place("tiger_body_felt", "rate_radps", 3)
+SPRING = _place("tiger_body_felt", "spring_n", 4)
+WHEEL_SPEED = _place("tiger_body_felt", "wheel_radps", 4)
+WHEEL_ANGLE = _place("tiger_body_felt", "wheel_angle_rad", 4)
+WHEEL_TORQUE = _place("tiger_body_felt", "wheel_torque_nm", 4)
+FELT = ffi.sizeof("tiger_body_felt") // ffi.sizeof("double")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,42 +59,44 @@ class Motion:
     """(w r - v)/|v| of each contact, as far as its relaxation has followed."""
 
 
-class Body(Protocol):
-    """A body with four wheels, at rest or rolling when made. Corners FL FR RL RR; SI units; ISO 8855 axes."""
+class Body(ABC):
+    """A body with four wheels, at rest or rolling when made. Corners FL FR RL RR; SI units; ISO 8855 axes.
 
-    @property
-    def attitude_rad(self) -> tuple[float, float, float]:
-        """Roll, pitch, yaw."""
+    It is moved by the compiled function `step` (a `tiger_body_step` of native_robot_api.h), which works on
+    `context` and tells in `felt` what sensors and actuators feel of the body.
+    """
 
-    @property
-    def accel_mps2(self) -> NDArray[np.float64]:
+    step: Any
+    context: Any
+
+    def __init__(self) -> None:
+        self.felt: Any = ffi.new("tiger_body_felt *")
+        felt = np.frombuffer(ffi.buffer(self.felt))
+        self.accel_mps2 = felt[ACCEL]
         """Specific force where the IMU sits, (3,), body axes."""
-
-    @property
-    def rate_radps(self) -> NDArray[np.float64]:
+        self.rate_radps = felt[RATE]
         """Body rates, (3,)."""
+        self._command: Any = ffi.new("tiger_body_command *")
 
     @property
     def spring_n(self) -> Sequence[float]:
         """Forces of the four springs and dampers beyond the weight of the empty body, + pushes it up."""
+        return list(self.felt.spring_n)
 
     @property
     def wheel_radps(self) -> Sequence[float]:
         """Speeds of the wheels against their carriers."""
+        return list(self.felt.wheel_radps)
 
     @property
     def wheel_angle_rad(self) -> Sequence[float]:
         """How far the wheels have turned against their carriers."""
+        return list(self.felt.wheel_angle_rad)
 
     @property
     def wheel_torque_nm(self) -> Sequence[float]:
         """What the motors do."""
-
-    def motion(self) -> Motion:
-        """What no sensor tells, at this moment."""
-
-    def prepare(self, dt_s: float) -> None:
-        """Make ready for steps of `dt_s`."""
+        return list(self.felt.wheel_torque_nm)
 
     def advance(
         self, plate_rad: tuple[float, float], lift_m: Sequence[float], wheel_rpm: Sequence[float]
@@ -83,6 +105,22 @@ class Body(Protocol):
 
         Lifts count from mid-stroke; `wheel_rpm` is commanded during the step.
         """
+        command = self._command
+        command.plate_rad, command.lift_m, command.wheel_rpm = plate_rad, lift_m, wheel_rpm
+        self.step(self.context, command, self.felt)
+
+    @property
+    @abstractmethod
+    def attitude_rad(self) -> tuple[float, float, float]:
+        """Roll, pitch, yaw."""
+
+    @abstractmethod
+    def motion(self) -> Motion:
+        """What no sensor tells, at this moment."""
+
+    @abstractmethod
+    def prepare(self, dt_s: float) -> None:
+        """Make ready for steps of `dt_s`."""
 
 
 def make_body(

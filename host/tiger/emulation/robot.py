@@ -2,25 +2,28 @@
 
     robot = EmulatedRobot(load_vehicle("tiger"), load_scenario("shaking-plate"), seed=1)
     robot.cables["suspension"].host_write(frame)      # what the daemon says
-    robot.run()                                       # one millisecond passes
+    robot.run(5)                                      # five milliseconds pass
     robot.cables["suspension"].host_read()            # what it hears
     robot.truth()                                     # for tests and plots only
 
-One `run` is: duties and speeds move the world, the world moves the pins, the boards run, bytes move along the
-wires. It depends on nothing but its arguments and the bytes that came in: two robots fed alike are equal.
+A millisecond is: duties and speeds move the world, the world moves the pins, the boards run, bytes move along
+the wires. That loop is compiled (firmware/native/native_robot.cpp); it stops for what Python does, at the
+latest every five milliseconds for the IMU's noise. All depends on nothing but the arguments and the bytes
+that came in: two robots fed alike are equal, in however many calls their time has passed.
 """
 
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from math import nan
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tiger.config.errors import ConfigError
-from tiger.emulation.body import Four
 from tiger.emulation.cable import Cable, LineNoise, NoisyLine
 from tiger.emulation.roboteq import Roboteq
-from tiger.emulation.world import Truth, World
-from tiger.models.sensors.potentiometer import ADC_COUNTS
+from tiger.emulation.world import STANDING_RADPS, SWITCH_MARGIN_MM, Truth, World
+from tiger.models.sensors.potentiometer import ADC_COUNTS, Potentiometer
+from tiger.native._core import ffi, lib
 from tiger.native.boards import BROWN_OUT, EXTERNAL, PEER_PORT, Board, ImuBoard, SpeedBoard, SuspensionBoard
 
 if TYPE_CHECKING:
@@ -94,7 +97,6 @@ class EmulatedRobot:
         }
         for name, board in self.boards.items():
             board.set_clock_ppm(RESONATOR_PPM[name])
-        self._exact_counts = self.world.potentiometer.exact_counts
         if scenario.sensor_noise:
             self.imu.set_dither(0.0)  # the world's noise is enough
             self.suspension.set_noise(self.world.potentiometer.noise_counts)
@@ -105,13 +107,15 @@ class EmulatedRobot:
         self.cables |= {name: Cable() for name in DRIVE_CABLES}
         self._nano_up = NoisyLine(noise, seed=10 * seed + 8)
         self._nano_down = NoisyLine(noise, seed=10 * seed + 9)
+        self._most_steps = IMU_EVERY_STEPS if noise.clean else 1  # a noisy wire between boards is Python's
         self.nano_wire_cut = False
         self.estop_pressed = False
+        self.motor_signs = (1.0, 1.0, 1.0, 1.0)
+        """-1 for a motor whose wires are crossed: it turns backwards, and no one notices but the wheel."""
         self._broken_pots: dict[int, float] = {}  # corner -> counts its input shows
-        self._stuck_pots: set[int] = set()
-        self._counts = [0.0] * 4
-        self._shown_phase = [0.0] * 4  # teeth, as the wheel sensors see them
-        self._steps = 0
+        self._stuck_pots: dict[int, float] = {}
+        self._native = self._wired()
+        self.set_potentiometers(self.world.potentiometer)
         self._failures = self._table_of_failures()
         self._plan = self._planned_failures(scenario.fault)
 
@@ -130,79 +134,114 @@ class EmulatedRobot:
         """What the world really does."""
         return self.world.truth()
 
-    def run(self) -> None:
-        """Let one millisecond pass."""
-        self._begin_and_end_failures()
-        self._move_world()
-        self._set_pins()
-        for board in self.boards.values():
-            board.run(STEP_US)
-        self._run_drives()
-        self._move_bytes()
-        self._steps += 1
+    def set_potentiometers(self, potentiometer: Potentiometer) -> None:
+        """Exchange the four stroke potentiometers; raises ValueError unless they are straight."""
+        if potentiometer.nonlinearity:
+            raise ValueError("the emulated converter knows straight potentiometers only")
+        zero, full = map(potentiometer.exact_counts, (0.0, potentiometer.stroke_max_mm))
+        self._native.zero_counts = zero
+        self._native.counts_per_mm = (full - zero) / potentiometer.stroke_max_mm
 
-    # ---- one step
+    def run(self, steps: int = 1) -> None:
+        """Let so many milliseconds pass."""
+        while steps > 0:
+            self._begin_and_end_failures()
+            n = min(steps, self._undisturbed_steps())
+            self._run(n)
+            steps -= n
 
-    def _move_world(self) -> None:
-        left, right = self.drives["left"].motor_rpm, self.drives["right"].motor_rpm
-        self.world.step(STEP_S, self.suspension.drive(), (left[0], right[0], left[1], right[1]))
+    # ---- steps in which only the world, the boards and the wires between them act
 
-    def _set_pins(self) -> None:
-        world = self.world
-        counts = [self._exact_counts(stroke) for stroke in world.stroke_mm]
-        for corner in self._stuck_pots:
-            counts[corner] = self._counts[corner]
-        for corner, shown in self._broken_pots.items():
-            counts[corner] = shown
-        self._counts = counts
-        self.suspension.set_inputs(
-            counts, _bits(world.lower_switches), _bits(world.upper_switches), self.estop_pressed
-        )
-        if self._steps % IMU_EVERY_STEPS == 0:
+    def _undisturbed_steps(self) -> int:
+        """How many steps may pass before Python is needed again."""
+        steps = min(self._most_steps, IMU_EVERY_STEPS - self._native.steps % IMU_EVERY_STEPS)
+        if self._plan:
+            steps = min(steps, -((self.world.time_us - self._plan[-1][0]) // STEP_US))
+        return int(steps)
+
+    def _run(self, steps: int) -> None:
+        world, native = self.world, self._native
+        self._put_bytes()
+        world.step(STEP_S, self.suspension.drive(), self._wheel_rpm())
+        if native.steps % IMU_EVERY_STEPS == 0:
             reading = world.imu()
             self.imu.set_inputs(
                 reading.accel_mps2.tolist(), reading.gyro_radps.tolist(), reading.mag_ut.tolist()
             )
-        if self._steps == 0 or not world.wheels_stand:
-            self._turn_gears(world.tooth_phase)
+        if native.steps % FEEDBACK_EVERY_STEPS == 0:
+            self._feed_back()
+        wheel_rpm = self._run_drives(steps)
+        plate_rad: list[float] = []
+        for step in range(steps):
+            plate_rad += world.plate_rad(world.time_us + step * STEP_US)
+        self._set_pins()
+        lib.tiger_robot_run(native, steps, plate_rad, wheel_rpm)
+        world.turn_field()
+        self._take_bytes()
 
-    def _turn_gears(self, phase: Four) -> None:
-        """Show the sensors what has passed beyond their hysteresis."""
-        shown, play = self._shown_phase, GEAR_PLAY_TEETH
-        for side, wheels in SIDES.items():
-            for input_, wheel in enumerate(wheels):
-                behind = phase[wheel] - shown[wheel]
-                if behind > play or behind < -play:
-                    shown[wheel] = phase[wheel] - (play if behind > 0.0 else -play)
-                    self.speed[side].set_wheel(input_, shown[wheel])
+    def _set_pins(self) -> None:
+        """Everything of the pins that is not the world's."""
+        native, boards = self._native, self.boards
+        native.suspension, native.imu = boards["mega_suspension"].handle, boards["nano_imu"].handle
+        native.speed = [boards["mega_speed_left"].handle, boards["mega_speed_right"].handle]
+        native.estop_pressed = self.estop_pressed
+        native.carries_nano = self._nano_up.is_clean and not self.nano_wire_cut
+        for corner in range(4):
+            stuck = self._stuck_pots.get(corner, nan)
+            native.forced_counts[corner] = self._broken_pots.get(corner, stuck)
 
-    def _run_drives(self) -> None:
-        if self._steps % FEEDBACK_EVERY_STEPS == 0:
-            rpm, current = self.world.wheel_speed_rpm, self.world.motor_current_a().tolist()
-            for side, (front, rear) in SIDES.items():
-                self.drives[side].feedback((rpm[front], rpm[rear]), (current[front], current[rear]))
+    def _wheel_rpm(self) -> tuple[float, float, float, float]:
+        """What the drives drive the motors to."""
+        left, right = self.drives["left"].motor_rpm, self.drives["right"].motor_rpm
+        fl, fr, rl, rr = self.motor_signs
+        return fl * left[0], fr * right[0], rl * left[1], rr * right[1]
+
+    def _feed_back(self) -> None:
+        rpm, current = self.world.wheel_speed_rpm, self.world.motor_current_a().tolist()
+        for side, (front, rear) in SIDES.items():
+            self.drives[side].feedback((rpm[front], rpm[rear]), (current[front], current[rear]))
+
+    def _run_drives(self, steps: int) -> list[float]:
+        """Let the drives run ahead, as nothing reaches them meanwhile; return the rpm before each step."""
         for side, drive in self.drives.items():
             drive.estop_input = self.estop_pressed
-            cable = self.cables[f"roboteq_{side}"]
-            data = cable.board_read()
+            data = self.cables[f"roboteq_{side}"].board_read()
             if data:
                 drive.receive(data)
-            drive.run(STEP_US)
-            cable.board_write(drive.transmit())
+        wheel_rpm: list[float] = []
+        for _ in range(steps):
+            wheel_rpm += self._wheel_rpm()
+            for drive in self.drives.values():
+                drive.run(STEP_US)
+        for side, drive in self.drives.items():
+            self.cables[f"roboteq_{side}"].board_write(drive.transmit())
+        return wheel_rpm
 
-    def _move_bytes(self) -> None:
+    def _put_bytes(self) -> None:
+        """Hand over what the host has sent: through USB, which takes until the end of the step."""
         for name, board in zip(BOARD_CABLES, (self.suspension, *self.speed.values()), strict=True):
-            cable = self.cables[name]
-            cable.board_write(board.uart_read())
-            data = cable.board_read()
+            data = self.cables[name].board_read()
             if data:
-                board.uart_write(data)
+                board.uart_write(data, delay_us=STEP_US)
+
+    def _take_bytes(self) -> None:
+        for name, board in zip(BOARD_CABLES, (self.suspension, *self.speed.values()), strict=True):
+            self.cables[name].board_write(board.uart_read())
+        if self._native.carries_nano:
+            return
         up, down = self.imu.uart_read(), self.suspension.uart_read(PEER_PORT)
         if not self.nano_wire_cut:
-            if up:
-                self.suspension.uart_write(self._nano_up.carry(up), PEER_PORT)
-            if down:
-                self.imu.uart_write(self._nano_down.carry(down))
+            self.suspension.uart_write(self._nano_up.carry(up), PEER_PORT)
+            self.imu.uart_write(self._nano_down.carry(down))
+
+    def _wired(self) -> Any:
+        """Return the `tiger_robot` of native_robot_api.h."""
+        native: Any = ffi.new("tiger_robot *")
+        native.world = self.world.native
+        native.switch_margin_mm, native.standing_radps = SWITCH_MARGIN_MM, STANDING_RADPS
+        native.gear_play = GEAR_PLAY_TEETH
+        native.teeth, native.teeth_rad = self.world.teeth, ffi.from_buffer("double[]", self.world.teeth_rad)
+        return native
 
     # ---- planned failures
 
@@ -239,14 +278,17 @@ class EmulatedRobot:
             heals = _ignoring(partial(self._broken_pots.pop, corner, None))
             opens = _ignoring(partial(self._broken_pots.update, {corner: _OPEN_POT_COUNTS}))
             shorts = _ignoring(partial(self._broken_pots.update, {corner: 0.0}))
-            sticks = _ignoring(partial(self._stuck_pots.add, corner))
-            frees = _ignoring(partial(self._stuck_pots.discard, corner))
+            sticks = _ignoring(partial(self._stick_pot, corner))
+            frees = _ignoring(partial(self._stuck_pots.pop, corner, None))
             table |= {
                 (name, "open"): Failure(opens, heals),
                 (name, "short"): Failure(shorts, heals),
                 (name, "stuck"): Failure(sticks, frees),
             }
         return table
+
+    def _stick_pot(self, corner: int) -> None:
+        self._stuck_pots[corner] = self._native.shown_counts[corner]
 
     def _planned_failures(
         self, events: tuple[FaultEvent, ...]
@@ -275,11 +317,6 @@ class EmulatedRobot:
         while self._plan and self._plan[-1][0] <= now_us:
             _, action, value = self._plan.pop()
             action(value)
-
-
-def _bits(switches: tuple[bool, bool, bool, bool]) -> int:
-    a, b, c, d = switches
-    return a | b << 1 | c << 2 | d << 3
 
 
 def _ignoring(action: Callable[[], object]) -> Callable[[float], None]:

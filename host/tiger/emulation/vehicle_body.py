@@ -1,7 +1,7 @@
 """The body with 14 degrees of freedom on any terrain (`models.vehicle`), its wheels driven on the ground.
 
-A step is one call into compiled code: drives, Runge-Kutta steps, and what the IMU feels. Each wheel has a
-speed loop as in the Roboteq, proportional and integral, whose torque keeps within the vehicle's limit.
+A step is compiled: drives, Runge-Kutta steps, and what the IMU feels. Each wheel has a speed loop as in the
+Roboteq, proportional and integral, whose torque keeps within the vehicle's limit.
 
 The plate of the experiments is the ground's plane, tilting about the origin: over a step its slope is that of
 the start, and posts under the wheels carry on its motion, so that height is continuous and damping right.
@@ -11,20 +11,38 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from functools import cache
 from math import asin, atan2, ceil, cos, isnan, nan, pi, sin, tan
 from threading import Timer
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numba import carray, types  # type: ignore[attr-defined]
 from numpy.typing import NDArray
 
 from tiger.config.tire import load_soil
-from tiger.emulation.body import Motion
+from tiger.emulation.body import (
+    COMMANDS,
+    FELT,
+    LIFT,
+    PLATE,
+    SPRING,
+    WHEEL_ANGLE,
+    WHEEL_RPM,
+    WHEEL_SPEED,
+    WHEEL_TORQUE,
+    Body,
+    Motion,
+)
 from tiger.emulation.ground import make_terrain
 from tiger.models import vehicle_kernel as kernel
 from tiger.models.full_car import GRAVITY_MPS2
-from tiger.models.jit import Record, jit, record
+from tiger.models.jit import Record, c_function, jit, record
+from tiger.models.soil import SOIL
+from tiger.models.terrain import FEATURE, GROUND
+from tiger.models.tire import TIRE
 from tiger.models.vehicle import Inputs, Vehicle
+from tiger.native._core import ffi
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,36 +65,58 @@ NOTICE = "Compiling the vehicle model for this computer: once, some ten seconds.
 DRIVE = np.dtype([(name, np.float64) for name in ("gain", "integral_gain", "torque_max", "gravity")])
 """Four equal speed loops as compiled code reads them."""
 
-ACCEL, RATE, SPRING, WHEEL_SPEED = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 14)
-SPRING_AT, WHEEL_SPEED_AT = 6, 10
-SENSED = 14
+BODY = np.dtype(
+    [(name, np.float64) for name in ("dt", "substep", "slope_x", "slope_y")]
+    + [
+        (name, np.float64, length)
+        for name, length in (
+            *(("imu", 3), ("plate", 2), ("turning", 2), ("lift", 4)),
+            *(("wheel_rpm", 4), ("command", 4), ("integral", 4)),
+        )
+    ]
+    + [("substeps", np.int64), ("moves", np.bool_)]
+)
+"""What a body carries from step to step beside the vehicle's state.
+
+The terrain's own slopes; plate and lifts at the end of the last step, how fast the plate's slopes change in
+this one, and whether anything of that moves; the wheels' commands as told and in rad/s.
+"""
+
+PLATE_AT, LIFT_AT, WHEEL_RPM_AT = PLATE.start, LIFT.start, WHEEL_RPM.start
+SPRING_AT, WHEEL_SPEED_AT = SPRING.start, WHEEL_SPEED.start
+WHEEL_ANGLE_AT, WHEEL_TORQUE_AT = WHEEL_ANGLE.start, WHEEL_TORQUE.start
 
 
 @jit
-def _drive(
-    drive: Record, state: Array, inputs: Array, command: Array, integral: Array, angle: Array, dt: float
-) -> None:
+def _drive(drive: Record, body: Record, state: Array, inputs: Array, felt: Array, dt: float) -> None:
     """Set the motors' torques for the next `dt` and let the wheels' angles follow."""
-    d = drive[0]
+    d, b = drive[0], body[0]
     for i in range(4):
         speed = state[kernel.SPIN_AT + i] - state[11]
-        angle[i] += speed * dt
-        error = command[i] - speed
+        felt[WHEEL_ANGLE_AT + i] += speed * dt
+        error = b.command[i] - speed
         if isnan(error):  # no command: the motor is off
-            inputs[kernel.TORQUE_AT + i] = integral[i] = 0.0
+            inputs[kernel.TORQUE_AT + i] = b.integral[i] = 0.0
             continue
-        torque = d.gain * error + integral[i]
+        torque = d.gain * error + b.integral[i]
         limited = min(max(torque, -d.torque_max), d.torque_max)
         if torque == limited or torque * error < 0.0:
-            integral[i] += d.integral_gain * error * dt
+            b.integral[i] += d.integral_gain * error * dt
         inputs[kernel.TORQUE_AT + i] = limited
 
 
 @jit
-def _sense(
-    vehicle: Record, gravity: float, state: Array, rate: Array, contact: Array, imu: Array, sensed: Array
+def _feel(
+    vehicle: Record,
+    gravity: float,
+    imu: Array,
+    state: Array,
+    rate: Array,
+    inputs: Array,
+    contact: Array,
+    felt: Array,
 ) -> None:
-    """Write what the IMU feels at its place, the springs' forces and the wheels' speeds."""
+    """Write what the IMU feels at its place, the springs' forces, the wheels' speeds and torques."""
     v = vehicle[0]
     u, side, rise = state[7], state[8], state[9]
     p, q, r = state[10], state[11], state[12]
@@ -86,13 +126,14 @@ def _sense(
     along, square = p * x + q * y + r * z, p * p + q * q + r * r
     up_x, up_y = 2.0 * (a * c - b * w), 2.0 * (b * c + a * w)
     up_z = 1.0 - 2.0 * (a * a + b * b)
-    sensed[0] = rate[7] + q * rise - r * side + gravity * up_x + qq * z - rr * y + along * p - square * x
-    sensed[1] = rate[8] + r * u - p * rise + gravity * up_y + rr * x - pp * z + along * q - square * y
-    sensed[2] = rate[9] + p * side - q * u + gravity * up_z + pp * y - qq * x + along * r - square * z
-    sensed[3], sensed[4], sensed[5] = p, q, r
+    felt[0] = rate[7] + q * rise - r * side + gravity * up_x + qq * z - rr * y + along * p - square * x
+    felt[1] = rate[8] + r * u - p * rise + gravity * up_y + rr * x - pp * z + along * q - square * y
+    felt[2] = rate[9] + p * side - q * u + gravity * up_z + pp * y - qq * x + along * r - square * z
+    felt[3], felt[4], felt[5] = p, q, r
     for i in range(4):
-        sensed[SPRING_AT + i] = contact[i, kernel.STRUT_FORCE_AT] - v.preload[i]
-        sensed[WHEEL_SPEED_AT + i] = state[kernel.SPIN_AT + i] - q
+        felt[SPRING_AT + i] = contact[i, kernel.STRUT_FORCE_AT] - v.preload[i]
+        felt[WHEEL_SPEED_AT + i] = state[kernel.SPIN_AT + i] - q
+        felt[WHEEL_TORQUE_AT + i] = inputs[kernel.TORQUE_AT + i]
 
 
 @jit
@@ -110,6 +151,30 @@ def _post_rates(vehicle: Record, state: Array, turning: Array, inputs: Array) ->
 
 
 @jit
+def _follow(body: Record, ground: Record, inputs: Array, command: Array) -> None:
+    """Take the command: wheel speeds, and where plate and lifts shall go from where they are now."""
+    b, g = body[0], ground[0]
+    for i in range(4):
+        if command[WHEEL_RPM_AT + i] != b.wheel_rpm[i]:
+            b.wheel_rpm[i] = command[WHEEL_RPM_AT + i]
+            b.command[i] = b.wheel_rpm[i] * (pi / 30.0)
+    moves = command[PLATE_AT] != b.plate[0] or command[PLATE_AT + 1] != b.plate[1]
+    for i in range(4):
+        moves |= command[LIFT_AT + i] != b.lift[i]
+    if not (moves or b.moves):
+        return
+    b.moves = moves
+    for i in range(4):
+        inputs[kernel.LIFT_AT + i] = b.lift[i]
+        inputs[kernel.LIFT_RATE_AT + i] = (command[LIFT_AT + i] - b.lift[i]) / b.dt
+        b.lift[i] = command[LIFT_AT + i]
+    g.slope_x, g.slope_y = b.slope_x - tan(b.plate[1]), b.slope_y + tan(b.plate[0])
+    b.plate[0], b.plate[1] = command[PLATE_AT], command[PLATE_AT + 1]
+    b.turning[0] = (b.slope_x - tan(b.plate[1]) - g.slope_x) / b.dt
+    b.turning[1] = (b.slope_y + tan(b.plate[0]) - g.slope_y) / b.dt
+
+
+@jit
 def _advance(
     vehicle: Record,
     tire: Record,
@@ -118,33 +183,59 @@ def _advance(
     features: Record,
     heights: Array,
     drive: Record,
+    body: Record,
     state: Array,
     inputs: Array,
-    command: Array,
-    integral: Array,
-    angle: Array,
-    turning: Array,
-    dt: float,
-    steps: int,
-    imu: Array,
     rate: Array,
     contact: Array,
-    sensed: Array,
+    command: Array,
+    felt: Array,
 ) -> None:
-    """Move `state` by `steps` of `dt`, then sense; lifts and plate go on at their rates meanwhile."""
-    for _ in range(steps):
-        _drive(drive, state, inputs, command, integral, angle, dt)
-        _post_rates(vehicle, state, turning, inputs)
-        kernel.advance(vehicle, tire, soil, ground, features, heights, state, inputs, dt, 1, contact)
+    """Move `state` by one step, then feel; lifts and plate go on at their rates meanwhile."""
+    _follow(body, ground, inputs, command)
+    b, g = body[0], ground[0]
+    for _ in range(b.substeps):
+        _drive(drive, body, state, inputs, felt, b.substep)
+        _post_rates(vehicle, state, b.turning, inputs)
+        kernel.advance(vehicle, tire, soil, ground, features, heights, state, inputs, b.substep, 1, contact)
         for i in range(4):
-            inputs[kernel.LIFT_AT + i] += dt * inputs[kernel.LIFT_RATE_AT + i]
-        ground[0].slope_x += dt * turning[0]
-        ground[0].slope_y += dt * turning[1]
+            inputs[kernel.LIFT_AT + i] += b.substep * inputs[kernel.LIFT_RATE_AT + i]
+        g.slope_x += b.substep * b.turning[0]
+        g.slope_y += b.substep * b.turning[1]
     kernel.derivative(vehicle, tire, soil, ground, features, heights, state, inputs, 0.0, rate, contact)
-    _sense(vehicle, drive[0].gravity, state, rate, contact, imu, sensed)
+    _feel(vehicle, drive[0].gravity, b.imu, state, rate, inputs, contact, felt)
 
 
-class VehicleBody:
+def _step(arrays: Any, command: Any, felt: Any) -> None:
+    """`_advance` as a `tiger_body_step`; `arrays` are the addresses of `VehicleBody._arrays`."""
+    sizes = carray(arrays[0], (3,), np.int64)
+    _advance(
+        carray(arrays[1], (1,), kernel.VEHICLE),
+        carray(arrays[2], (1,), TIRE),
+        carray(arrays[3], (1,), SOIL),
+        carray(arrays[4], (1,), GROUND),
+        carray(arrays[5], (sizes[0],), FEATURE),
+        carray(arrays[6], (sizes[1], sizes[2]), np.float64),
+        carray(arrays[7], (1,), DRIVE),
+        carray(arrays[8], (1,), BODY),
+        carray(arrays[9], (kernel.STATES,), np.float64),
+        carray(arrays[10], (kernel.INPUTS,), np.float64),
+        carray(arrays[11], (kernel.STATES,), np.float64),
+        carray(arrays[12], (4, kernel.CONTACT_FIGURES), np.float64),
+        carray(command, (COMMANDS,), np.float64),
+        carray(felt, (FELT,), np.float64),
+    )
+
+
+@cache
+def _compiled_step() -> Any:
+    pointer: Any = types.CPointer
+    numbers = pointer(types.float64)
+    compiled = c_function(types.void(pointer(types.voidptr), numbers, numbers))(_step)
+    return ffi.cast("tiger_body_step", compiled.address)
+
+
+class VehicleBody(Body):
     """See `body.Body`. Starts at rest on the ground, wheels locked until then, or rolling at a speed."""
 
     def __init__(
@@ -154,45 +245,66 @@ class VehicleBody:
         plate_rad: tuple[float, float],
         lift_m: Sequence[float],
     ) -> None:
+        super().__init__()
         config = _as_in(scenario, config)
         terrain = make_terrain(scenario.terrain, config.body.half_track_m)
-        self._slopes = terrain.slope_x, terrain.slope_y
-        self._plate_rad = plate_rad
-        slope_x, slope_y = self._with_plate(plate_rad)
+        tilted = replace(
+            terrain,
+            slope_x=terrain.slope_x - tan(plate_rad[1]),
+            slope_y=terrain.slope_y + tan(plate_rad[0]),
+        )
         soil = load_soil(scenario.soil) if scenario.soil is not None else None
-        self._vehicle = Vehicle(config, replace(terrain, slope_x=slope_x, slope_y=slope_y), soil=soil)
-        self._ground = self._vehicle.plant[3]
-        self._loops = _drive_record(config)
-        self._imu = self._vehicle.imu_place_m
+        self._vehicle = Vehicle(config, tilted, soil=soil)
         self._com_height_m = self._vehicle.com_height_m
-        self._inputs = Inputs()
-        self._inputs.wheel_speed_radps[:] = nan
-        self._inputs.lift_m[:] = self._lift_m = list(lift_m)
-        self._command = np.zeros(4)
-        self._wheel_rpm: Sequence[float] = (0.0,) * 4
-        self._integral, self._angle, self._turning = np.zeros(4), np.zeros(4), np.zeros(2)
-        self._moves = False  # plate or lifts
-        self._rate, self._sensed = np.zeros(kernel.STATES), np.zeros(SENSED)
+        inputs = Inputs()
+        inputs.wheel_speed_radps[:] = nan
+        inputs.lift_m[:] = lift_m
+        start = scenario.start
+        spin_radps = start.speed_mps / config.tire.rolling_radius_m
+        self._body = record(
+            BODY,
+            {
+                "slope_x": terrain.slope_x,
+                "slope_y": terrain.slope_y,
+                "imu": self._vehicle.imu_place_m,
+                "plate": plate_rad,
+                "turning": 0.0,
+                "lift": lift_m,
+                "wheel_rpm": 0.0,
+                "command": spin_radps,
+                "integral": 0.0,
+                "dt": LONGEST_STEP_S,
+                "substep": LONGEST_STEP_S,
+                "substeps": 0,
+                "moves": False,
+            },
+        )
         self._contact = np.zeros((4, kernel.CONTACT_FIGURES))
-        self._accel, self._body_rate = self._sensed[ACCEL], self._sensed[RATE]
-        self._spring, self._wheel_speed = self._sensed[SPRING], self._sensed[WHEEL_SPEED]
 
         notice = Timer(NOTICE_AFTER_S, print, (NOTICE,), {"file": sys.stderr, "flush": True})
         notice.daemon = True
         notice.start()
         try:
-            start = scenario.start
             stands = self._vehicle.at_rest(start.x_m, start.y_m, start.yaw_deg * pi / 180.0)
-            self._state = self._vehicle.settle(stands, inputs=self._inputs)
-            self._state[kernel.VELOCITY.start] += start.speed_mps
-            self._state[kernel.SPIN] = start.speed_mps / config.tire.rolling_radius_m
-            self._command[:] = start.speed_mps / config.tire.rolling_radius_m
-            self._dt_s = LONGEST_STEP_S
-            self._substep_s, self._substeps = LONGEST_STEP_S, 0
-            self._run()
-            self._integral[:] = self._contact[:, kernel.FX_AT] * config.tire.rolling_radius_m  # hold it here
+            self._state = self._vehicle.settle(stands, inputs=inputs)
+            self.step = _compiled_step()
         finally:
             notice.cancel()
+        self._state[kernel.VELOCITY.start] += start.speed_mps
+        self._state[kernel.SPIN] = spin_radps
+        self._arrays = self._plant_and_state(config, inputs)
+        self._addresses = np.array([array.ctypes.data for array in self._arrays], np.uintp)
+        self.context: Any = ffi.from_buffer(self._addresses)
+        self.advance(plate_rad, lift_m, (0.0,) * 4)  # no time passes: it only feels
+        self._body["integral"] = self._contact[:, kernel.FX_AT] * config.tire.rolling_radius_m  # hold it here
+
+    def _plant_and_state(self, config: VehicleConfig, inputs: Inputs) -> tuple[NDArray[Any], ...]:
+        """Return what `_step` works on, in its order; its addresses must stay where they are."""
+        *_, features, heights = plant = self._vehicle.plant
+        sizes = np.array([features.size, *heights.shape])
+        rate = np.zeros(kernel.STATES)
+        own = (_drive_record(config), self._body, self._state, inputs.vector, rate, self._contact)
+        return (sizes, *plant, *own)
 
     @property
     def attitude_rad(self) -> tuple[float, float, float]:
@@ -204,44 +316,10 @@ class VehicleBody:
             atan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z)),
         )
 
-    @property
-    def accel_mps2(self) -> Array:
-        """Specific force where the IMU sits, (3,), body axes."""
-        return self._accel
-
-    @property
-    def rate_radps(self) -> Array:
-        """Body rates, (3,)."""
-        return self._body_rate
-
-    @property
-    def spring_n(self) -> Sequence[float]:
-        """Forces of the struts beyond the weight of the empty body."""
-        forces: list[float] = self._spring.tolist()
-        return forces
-
-    @property
-    def wheel_radps(self) -> Sequence[float]:
-        """Speeds of the wheels against their carriers."""
-        speeds: list[float] = self._wheel_speed.tolist()
-        return speeds
-
-    @property
-    def wheel_angle_rad(self) -> Sequence[float]:
-        """How far the wheels have turned against their carriers."""
-        angles: list[float] = self._angle.tolist()
-        return angles
-
-    @property
-    def wheel_torque_nm(self) -> Sequence[float]:
-        """What the motors do, within their limit."""
-        torques: list[float] = self._inputs.wheel_torque_nm.tolist()
-        return torques
-
     def motion(self) -> Motion:
         """What no sensor tells, at this moment."""
         roll, pitch, _ = self.attitude_rad
-        p, q, r = self._body_rate.tolist()
+        p, q, r = self.rate_radps.tolist()
         x, y, z = self._state[kernel.POSITION].tolist()
         turning = q * sin(roll) + r * cos(roll)
         a, b, c, d = self._contact[:, kernel.LOAD_AT].tolist()
@@ -258,57 +336,9 @@ class VehicleBody:
 
     def prepare(self, dt_s: float) -> None:
         """Divide a step into Runge-Kutta steps of at most a millisecond."""
-        self._dt_s = dt_s
-        self._substeps = ceil(dt_s / LONGEST_STEP_S - 1e-9)
-        self._substep_s = dt_s / self._substeps
-
-    def advance(
-        self, plate_rad: tuple[float, float], lift_m: Sequence[float], wheel_rpm: Sequence[float]
-    ) -> None:
-        """Move one step; a wheel whose command is NaN is let run free."""
-        if wheel_rpm != self._wheel_rpm:
-            self._wheel_rpm = wheel_rpm
-            self._command[:] = wheel_rpm
-            self._command *= pi / 30.0
-        if self._moves or plate_rad != self._plate_rad or lift_m != self._lift_m:
-            self._set_in_motion(plate_rad, lift_m)
-        self._run()
-
-    def _run(self) -> None:
-        _advance(
-            *self._vehicle.plant,
-            self._loops,
-            self._state,
-            self._inputs.vector,
-            self._command,
-            self._integral,
-            self._angle,
-            self._turning,
-            self._substep_s,
-            self._substeps,
-            self._imu,
-            self._rate,
-            self._contact,
-            self._sensed,
-        )
-
-    def _set_in_motion(self, plate_rad: tuple[float, float], lift_m: Sequence[float]) -> None:
-        """Let lifts and plate go from where they are now to where they shall be at the end of the step."""
-        inputs, lifts = self._inputs, list(lift_m)
-        inputs.lift_m[:] = self._lift_m
-        inputs.lift_rate_mps[:] = lifts
-        inputs.lift_rate_mps -= inputs.lift_m
-        inputs.lift_rate_mps /= self._dt_s
-        before, after = self._with_plate(self._plate_rad), self._with_plate(plate_rad)
-        self._ground["slope_x"], self._ground["slope_y"] = before
-        self._turning[:] = (after[0] - before[0]) / self._dt_s, (after[1] - before[1]) / self._dt_s
-        self._moves = plate_rad != self._plate_rad or lifts != self._lift_m
-        self._plate_rad, self._lift_m = plate_rad, lifts
-
-    def _with_plate(self, plate_rad: tuple[float, float]) -> tuple[float, float]:
-        """Slopes along x and y of the terrain's plane on the tilted plate."""
-        roll, pitch = plate_rad
-        return self._slopes[0] - tan(pitch), self._slopes[1] + tan(roll)
+        substeps = ceil(dt_s / LONGEST_STEP_S - 1e-9)
+        self._body["dt"], self._body["substeps"] = dt_s, substeps
+        self._body["substep"] = dt_s / substeps
 
 
 def _as_in(scenario: Scenario, vehicle: VehicleConfig) -> VehicleConfig:

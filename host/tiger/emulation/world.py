@@ -13,7 +13,7 @@ What moves is a `body.Body`: the 14-DOF vehicle on its terrain, or the linear 7-
 scenario says. It stands on a plate that tilts, and on four mechanisms that lift it (the true curve of the
 EAM). An actuator's rate follows its duty with a first-order lag; it is self-locking, stops at the ends of its
 stroke, and cannot push more than its force limit. Everything random is from the seed: two worlds given the
-same calls are equal. The BNO055 is mounted along the body axes.
+same calls are equal. The BNO055 is mounted along the body axes. A step is compiled: native_world.cpp.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import cos, degrees, exp, nan, pi, radians, sin
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,7 @@ from tiger.models.sensors.gear import QuadratureGear
 from tiger.models.sensors.imu import BNO055, Imu, ImuReading, ImuSpec, TriadSpec
 from tiger.models.sensors.motor_current import MotorCurrent
 from tiger.models.sensors.potentiometer import Potentiometer
+from tiger.native._core import ffi, lib
 
 Array = NDArray[np.float64]
 
@@ -46,7 +48,7 @@ SWITCH_MARGIN_MM = 0.2
 STANDING_RADPS = 1e-4
 """A wheel that turns more slowly stands: a tooth takes a quarter of an hour to pass."""
 
-_MAGNETIC_PERIOD_S = 0.01
+MAGNETIC_PERIOD_US = 10_000
 _LONG_S = 1000.0  # after which every low-pass has settled
 
 
@@ -84,11 +86,8 @@ class World:
         eam = Eam.from_vehicle(vehicle)
         assert actuator.kind == "rate"  # Eam.from_vehicle has refused everything else
         self.vehicle, self.scenario = vehicle, scenario
-        self.time_us = 0
 
         self._actuator = actuator
-        self._curve = eam.curve()
-        self._mid_rise_mm = self._curve.at(actuator.stroke_max_mm / 2.0)[0]
         start = scenario.initial_stroke_mm or (actuator.stroke_max_mm / 2.0,) * 4
         for corner, stroke in zip(("FL", "FR", "RL", "RR"), start, strict=True):
             if stroke > actuator.stroke_max_mm:
@@ -96,13 +95,8 @@ class World:
                     f"initial_stroke_mm of {corner} = {stroke:g} is outside 0..{actuator.stroke_max_mm:g}; "
                     "correct the scenario"
                 )
-        self._stroke_mm = list(start)
-        self._rate_mmps = [0.0] * 4
-        self._lift = [self._curve.at(stroke) for stroke in start]  # (rise mm, motion ratio)
-
         parameters = FullCarParameters.from_config(vehicle)
         body_load = parameters.static_tire_load_n() - parameters.wheel_mass_kg() * GRAVITY_MPS2
-        self._preload_n: list[float] = body_load.tolist()
         self._plate = (PlateAxis(scenario.segments("roll")), PlateAxis(scenario.segments("pitch")))
 
         random_imu, random_pot, random_gear, random_current = (
@@ -110,39 +104,84 @@ class World:
         )
         noisy = scenario.sensor_noise
         self._imu = Imu(_imu_spec(noisy), random_imu)
-        self._field = np.zeros(3)
-        self._magnetic_s = 0.0
+        self._read_us = 0  # when the IMU was read last
+        self._field_us = 0  # when the magnetometer followed last
         self.potentiometer = Potentiometer(actuator.stroke_max_mm)
         self._random_pot = random_pot if noisy else None
         self._gears = [QuadratureGear(random=random_gear if noisy else None) for _ in range(4)]
+        self.teeth = self._gears[0].teeth
+        self.teeth_rad = np.array([gear.edges_rad for gear in self._gears])
+        """Where each tooth of each wheel's gear starts, (4, teeth + 1); the last is the full turn."""
         self._current = MotorCurrent()
         self._random_current = random_current if noisy else None
 
-        self._dt_s = nan  # no step yet
-        self._body = make_body(vehicle, scenario, self._plate_rad(), self._lift_m())
-        self._feel(_LONG_S)
+        curve = eam.curve()
+        self._pieces = curve.pieces  # kept: compiled code points to it
+        native: Any = ffi.new("tiger_world *")
+        self.native = native
+        """The `tiger_world` of native_robot_api.h that compiled code moves."""
+        native.dt_s = nan  # no step yet
+        native.stroke_max_mm = actuator.stroke_max_mm
+        native.max_rate_mmps = actuator.max_rate_mmps
+        native.max_force_n = actuator.max_force_n
+        native.mid_rise_mm = curve.at(actuator.stroke_max_mm / 2.0)[0]
+        native.preload_n = body_load.tolist()
+        native.curve, native.pieces = ffi.from_buffer("double[]", self._pieces), len(self._pieces)
+        native.pieces_per_mm = curve.pieces_per_mm
+        for wheel, stroke in enumerate(start):
+            lib.tiger_world_place(native, wheel, stroke)
+        native.accel_mps2 = ffi.from_buffer("double[]", self._imu.accelerometer.state)
+        native.gyro_radps = ffi.from_buffer("double[]", self._imu.gyroscope.state)
+
+        self._body = make_body(vehicle, scenario, self.plate_rad(0), self._lift_m())
+        native.step_body, native.body, native.felt = self._body.step, self._body.context, self._body.felt
+        self._imu.advance(self._body.accel_mps2, self._body.rate_radps, self._field_in_body(), _LONG_S)
 
     # ---- time
+
+    @property
+    def time_us(self) -> int:
+        """Time since the start in microseconds."""
+        return int(self.native.time_us)
 
     @property
     def time_s(self) -> float:
         """Time since the start."""
         return self.time_us * 1e-6
 
+    def prepare(self, dt_s: float) -> None:
+        """Make ready for steps of `dt_s`; raises ValueError unless it is a whole number of microseconds."""
+        native = self.native
+        if dt_s == native.dt_s:
+            return
+        dt_us = round(dt_s * 1e6)
+        if dt_us <= 0 or abs(dt_us - dt_s * 1e6) > 1e-6:
+            raise ValueError(f"a step takes a positive whole number of microseconds, not {dt_s} s")
+        native.dt_us, native.dt_s = dt_us, dt_s
+        native.rate_gain = _lag_gain(dt_s, self._actuator.lag_s)
+        native.accel_gain = self._imu.accelerometer.gain(dt_s)
+        native.gyro_gain = self._imu.gyroscope.gain(dt_s)
+        self._body.prepare(dt_s)
+
     def step(self, dt_s: float, actuator_duty: Sequence[float], wheel_speed_cmd_rpm: Sequence[float]) -> None:
         """Advance by `dt_s` (1 ms as a rule) with duties -1..1 and wheel-speed commands held, (4,) each."""
-        if dt_s != self._dt_s:
-            self._prepare(dt_s)
-        self._move_actuators(actuator_duty)
-        self.time_us += self._dt_us
-        self._body.advance(self._plate_rad(), self._lift_m(), wheel_speed_cmd_rpm)
-        self._feel(dt_s)
+        self.prepare(dt_s)
+        plate_rad = self.plate_rad(self.time_us + self.native.dt_us)
+        lib.tiger_world_step(self.native, actuator_duty, wheel_speed_cmd_rpm, plate_rad)
+        self.turn_field()
+
+    def turn_field(self) -> None:
+        """Let the magnetometer follow when it is time; to be called after steps made elsewhere."""
+        since_us = self.time_us - self._field_us
+        if since_us >= MAGNETIC_PERIOD_US:
+            self._field_us += since_us
+            self._imu.magnetometer.advance(self._field_in_body(), since_us * 1e-6)
 
     # ---- what the boards and controllers see
 
     def potentiometer_volts(self) -> Array:
         """Wiper voltages, (4,), of a 5 V supply; every call is a new sample."""
-        return self.potentiometer.volts(self._stroke_mm, self._random_pot)
+        return self.potentiometer.volts(self.stroke_mm, self._random_pot)
 
     def potentiometer_counts(self) -> NDArray[np.int64]:
         """Counts 0..1023 of a 10-bit ratiometric converter, (4,); every call is a new sample."""
@@ -151,19 +190,23 @@ class World:
     @property
     def lower_switches(self) -> tuple[bool, bool, bool, bool]:
         """Pressed near zero stroke."""
-        a, b, c, d = (stroke <= SWITCH_MARGIN_MM for stroke in self._stroke_mm)
+        a, b, c, d = (stroke <= SWITCH_MARGIN_MM for stroke in self.stroke_mm)
         return a, b, c, d
 
     @property
     def upper_switches(self) -> tuple[bool, bool, bool, bool]:
         """Pressed near full stroke."""
         limit = self._actuator.stroke_max_mm - SWITCH_MARGIN_MM
-        a, b, c, d = (stroke >= limit for stroke in self._stroke_mm)
+        a, b, c, d = (stroke >= limit for stroke in self.stroke_mm)
         return a, b, c, d
 
     def imu(self) -> ImuReading:
         """One sample of the BNO055, rounded to its digits; read at 100 Hz or so."""
-        return self._imu.read()
+        imu, since_s = self._imu, (self.time_us - self._read_us) * 1e-6
+        self._read_us = self.time_us
+        imu.accelerometer.wait(since_s)
+        imu.gyroscope.wait(since_s)
+        return imu.read()
 
     @property
     def tooth_phase(self) -> Four:
@@ -205,16 +248,16 @@ class World:
     @property
     def stroke_mm(self) -> Four:
         """True strokes."""
-        a, b, c, d = self._stroke_mm
+        a, b, c, d = self.native.stroke_mm
         return a, b, c, d
 
     def truth(self) -> Truth:
         """Everything true at this moment."""
         motion = self._body.motion()
         roll, pitch, yaw = self._body.attitude_rad
-        plate_roll, plate_pitch = self._plate_rad()
-        fl, fr, rl, rr = self._rate_mmps
-        forces = [self._actuator_force_n(corner) for corner in range(4)]
+        plate_roll, plate_pitch = self.plate_rad(self.time_us)
+        fl, fr, rl, rr = self.native.rate_mmps
+        forces = [lib.tiger_world_actuator_force_n(self.native, corner) for corner in range(4)]
         return Truth(
             time_s=self.time_s,
             roll_deg=degrees(roll),
@@ -236,63 +279,18 @@ class World:
             slip_ratio=motion.slip_ratio,
         )
 
-    # ---- physics of one step
+    # ---- preparation
 
-    # These run a thousand times a second: comparisons, not min() and max(); lists, not small arrays.
-
-    def _move_actuators(self, actuator_duty: Sequence[float]) -> None:
-        rates, strokes, dt_s, gain = self._rate_mmps, self._stroke_mm, self._dt_s, self._actuator_gain
-        max_rate_mmps, stroke_max_mm = self._actuator.max_rate_mmps, self._actuator.stroke_max_mm
-        for corner, duty in enumerate(actuator_duty):
-            rate = rates[corner]
-            if duty == 0.0 and -1e-9 < rate < 1e-9:
-                rates[corner] = 0.0  # locked
-                continue
-            limited = 1.0 if duty > 1.0 else -1.0 if duty < -1.0 else duty
-            rate += gain * (limited * max_rate_mmps - rate)
-            if rate > 0.0 and self._actuator_force_n(corner) > self._actuator.max_force_n:
-                rate = 0.0  # stalled: it holds, but cannot push on
-            stroke = strokes[corner] + rate * dt_s
-            if not 0.0 < stroke < stroke_max_mm:
-                stroke, rate = (0.0 if stroke <= 0.0 else stroke_max_mm), 0.0
-            rates[corner] = rate
-            strokes[corner] = stroke
-            self._lift[corner] = self._curve.at(stroke)
-
-    def _actuator_force_n(self, corner: int) -> float:
-        """Push of an actuator: the spring's force seen through the mechanism."""
-        return (self._preload_n[corner] + self._body.spring_n[corner]) * self._lift[corner][1]
-
-    def _plate_rad(self) -> tuple[float, float]:
-        """Roll and pitch of the plate."""
+    def plate_rad(self, time_us: int) -> tuple[float, float]:
+        """Roll and pitch of the plate at a time."""
         roll, pitch = self._plate
-        return roll.angle_rad(self.time_s), pitch.angle_rad(self.time_s)
+        time_s = time_us * 1e-6
+        return roll.angle_rad(time_s), pitch.angle_rad(time_s)
 
     def _lift_m(self) -> list[float]:
         """Lifts of the mechanisms from mid-stroke."""
-        mid, (fl, fr, rl, rr) = self._mid_rise_mm, self._lift
-        return [(fl[0] - mid) * 1e-3, (fr[0] - mid) * 1e-3, (rl[0] - mid) * 1e-3, (rr[0] - mid) * 1e-3]
-
-    def _feel(self, dt_s: float) -> None:
-        """Let the IMU follow."""
-        imu, body = self._imu, self._body
-        imu.accelerometer.advance(body.accel_mps2, dt_s)
-        imu.gyroscope.advance(body.rate_radps, dt_s)
-        self._magnetic_s += dt_s
-        if self._magnetic_s >= _MAGNETIC_PERIOD_S:
-            imu.magnetometer.advance(self._field_in_body(), self._magnetic_s)
-            self._magnetic_s = 0.0
-
-    # ---- preparation
-
-    def _prepare(self, dt_s: float) -> None:
-        """Compute what depends on the length of a step."""
-        self._dt_us = round(dt_s * 1e6)
-        if self._dt_us <= 0 or abs(self._dt_us - dt_s * 1e6) > 1e-6:
-            raise ValueError(f"a step takes a positive whole number of microseconds, not {dt_s} s")
-        self._dt_s = dt_s
-        self._actuator_gain = _lag_gain(dt_s, self._actuator.lag_s)
-        self._body.prepare(dt_s)
+        native = self.native
+        return [(rise - native.mid_rise_mm) * 1e-3 for rise in native.rise_mm]
 
     def _field_in_body(self) -> Array:
         """Earth's field in body axes for the present attitude."""
@@ -301,8 +299,7 @@ class World:
         ahead, left = cos(yaw) * north + sin(yaw) * west, cos(yaw) * west - sin(yaw) * north
         x = cos(pitch) * ahead - sin(pitch) * up
         z = sin(pitch) * ahead + cos(pitch) * up
-        self._field[:] = x, cos(roll) * left + sin(roll) * z, -sin(roll) * left + cos(roll) * z
-        return self._field
+        return np.array([x, cos(roll) * left + sin(roll) * z, -sin(roll) * left + cos(roll) * z])
 
 
 def _lag_gain(dt_s: float, lag_s: float) -> float:

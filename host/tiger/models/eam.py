@@ -398,10 +398,12 @@ class LiftCurve:
         self._spline = spline
         self._slope = spline.derivative()
         self._nodes = (stroke_mm, rise_mm)
-        self._steps_per_mm = (len(stroke_mm) - 1) / self.stroke_max_mm
+        self.pieces = np.ascontiguousarray(spline.c.T)
+        """Coefficients of each piece, (n - 1, 4): c3, c2, c1, c0 of the stroke beyond the piece's start."""
+        self.pieces_per_mm = (len(stroke_mm) - 1) / self.stroke_max_mm
         self._last = len(stroke_mm) - 2
         # Plain floats: indexing a list of tuples costs a tenth of a call into scipy.
-        self._pieces = [tuple(map(float, piece)) for piece in spline.c.T]
+        self._pieces = [tuple(map(float, piece)) for piece in self.pieces]
 
     def rise_mm(self, stroke_mm: ArrayLike) -> Array:
         """Return the rise at each stroke."""
@@ -426,11 +428,11 @@ class LiftCurve:
         stroke = (
             0.0 if stroke_mm < 0.0 else self.stroke_max_mm if stroke_mm > self.stroke_max_mm else stroke_mm
         )
-        index = int(stroke * self._steps_per_mm)
+        index = int(stroke * self.pieces_per_mm)
         if index > self._last:
             index = self._last
         c3, c2, c1, c0 = self._pieces[index]
-        x = stroke - index / self._steps_per_mm
+        x = stroke - index / self.pieces_per_mm
         return ((c3 * x + c2) * x + c1) * x + c0, (3.0 * c3 * x + 2.0 * c2) * x + c1
 
 

@@ -3,11 +3,16 @@
 Compiled functions take scalars, arrays and records (rows of structured arrays) only. Parameters travel as
 structured arrays of one row made by `record`, so that a field is read as `row.field` compiled and interpreted
 alike: NUMBA_DISABLE_JIT=1 runs the same source as plain Python, some two hundred times slower.
+
+numba compiles a cached function anew when its own file has changed, but not when what it calls has: each
+state of the sources here has its own folder of machine code.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast
 
 import numba
@@ -27,10 +32,33 @@ class Row(Protocol):
         """Return the field `name`."""
 
 
+def _folder_of_machine_code() -> str:
+    """Below NUMBA_CACHE_DIR or beside the sources; numba finds another place where it cannot write."""
+    sources = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        text = path.read_bytes()
+        if b"@jit" in text:
+            sources.update(text)
+    chosen: str = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    folder = Path(chosen) if chosen else Path(__file__).parent / "__pycache__"
+    return str(folder / f"compiled-{sources.hexdigest()[:12]}")
+
+
+numba.config.CACHE_DIR = _folder_of_machine_code()  # type: ignore[attr-defined]
+
+
 def jit(function: _Function) -> _Function:
     """Compile `function` without Python objects and keep the machine code on disk (NUMBA_CACHE_DIR)."""
     # Fused multiply-add is the one liberty taken with IEEE: NaN and infinity keep their meaning.
     return cast("_Function", numba.njit(cache=True, error_model="numpy", fastmath={"contract"})(function))
+
+
+def c_function(signature: Any) -> Callable[[Callable[..., None]], Any]:
+    """Compile a function of pointers that C code may call at its `address`; always compiled, and cached."""
+    return cast(
+        "Callable[[Callable[..., None]], Any]",
+        numba.cfunc(signature, cache=True, error_model="numpy", fastmath={"contract"}),
+    )
 
 
 def record(dtype: np.dtype[np.void], values: Mapping[str, Any]) -> Record:

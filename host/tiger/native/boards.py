@@ -73,9 +73,14 @@ class Board:
         """Stop the program where it is, until the watchdog resets the board."""
         lib.tiger_board_hang(self._board, interrupts_off)
 
-    def uart_write(self, data: bytes, port: int = HOST_PORT) -> None:
-        """Send bytes to the board; they arrive one after the other at the baud rate."""
-        lib.tiger_uart_write(self._board, port, data, len(data))
+    @property
+    def handle(self) -> Any:
+        """The `tiger_board *` itself, for compiled code that works on several boards."""
+        return self._board
+
+    def uart_write(self, data: bytes, port: int = HOST_PORT, delay_us: int = 0) -> None:
+        """Send bytes to the board; they arrive one after the other at the baud rate, after `delay_us`."""
+        lib.tiger_uart_write(self._board, port, data, len(data), delay_us)
 
     def uart_read(self, port: int = HOST_PORT) -> bytes:
         """The bytes that have left the board, stop bit included, since the last call."""

@@ -59,8 +59,7 @@ class Rig:
 
     def tick(self) -> Record | None:
         """Let one control period pass and return what the daemon made of it; None while it hangs."""
-        for _ in range(self._steps_per_tick):
-            self.robot.run()
+        self.robot.run(self._steps_per_tick)
         self.clock.set(self.robot.time_s)
         if self.hung:
             return None

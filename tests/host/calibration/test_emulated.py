@@ -118,7 +118,7 @@ def test_a_body_that_leans_is_evened_first_or_refused(bench_on: Callable[[Scenar
 
 def test_other_potentiometers_are_found_by_moving_and_measuring(bench: Bench, tmp_path: Path) -> None:
     pots = Potentiometer(70.0, volts_at_zero_stroke=0.4, volts_at_full_stroke=4.5)
-    bench.rig.robot._exact_counts = pots.exact_counts
+    bench.rig.robot.set_potentiometers(pots)
     bench.gather(1.0)
     bench.station.connect(MEGA)
     before = bench.stroke_error_mm()

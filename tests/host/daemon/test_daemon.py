@@ -262,12 +262,7 @@ def test_an_emergency_stop_by_command_stops_everything(robot: RobotConfig) -> No
 
 def test_a_motor_that_turns_backwards_stops_the_drive(robot: RobotConfig) -> None:
     rig = Rig(robot, STANDING)
-    step = rig.robot.world.step
-
-    def crossed(dt_s: float, duty: object, rpm: tuple[float, ...]) -> None:
-        step(dt_s, duty, (rpm[0], -rpm[1], rpm[2], -rpm[3]))  # type: ignore[arg-type]
-
-    rig.robot.world.step = crossed  # type: ignore[method-assign,assignment]
+    rig.robot.motor_signs = (1.0, -1.0, 1.0, -1.0)
     armed(rig)
     rig.daemon.command = Command(speed_mps=0.5)
     record = run(rig, 2.5)

@@ -7,6 +7,7 @@ axes are ISO 8855 (x forward, y left, z up); leading dimensions are free, the la
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import exp, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -163,7 +164,8 @@ class Triad:
     ) -> None:
         self._spec = spec
         self._random = random
-        self._state = np.array(start, dtype=float)
+        self.state = np.array(start, dtype=float)
+        """The truth as the low-pass lets it through, (3,). Whoever moves it elsewhere says so by `wait`."""
         self._noise_sd = spec.noise_density * np.sqrt(spec.bandwidth_hz)
         self._unread_s = 0.0
         self._gain_for_s, self._gain = -1.0, 0.0
@@ -171,12 +173,20 @@ class Triad:
         self._next = 0
         self.bias = random.uniform(-1.0, 1.0, 3) * spec.bias
 
-    def advance(self, truth: Array, dt_s: float) -> None:
-        """Follow the truth (3,), taken as constant over `dt_s`."""
+    def gain(self, dt_s: float) -> float:
+        """Return how far the low-pass comes towards a truth that holds for `dt_s`: 0 to 1."""
         if dt_s != self._gain_for_s:
             self._gain_for_s = dt_s
-            self._gain = 1.0 - float(np.exp(-2.0 * np.pi * self._spec.bandwidth_hz * dt_s))
-        self._state += self._gain * (truth - self._state)
+            self._gain = 1.0 - exp(-2.0 * pi * self._spec.bandwidth_hz * dt_s)
+        return self._gain
+
+    def advance(self, truth: Array, dt_s: float) -> None:
+        """Follow the truth (3,), taken as constant over `dt_s`."""
+        self.state += self.gain(dt_s) * (truth - self.state)
+        self.wait(dt_s)
+
+    def wait(self, dt_s: float) -> None:
+        """Let time pass that the state has followed already."""
         self._unread_s += dt_s
 
     def read(self) -> Array:
@@ -187,7 +197,7 @@ class Triad:
         self._unread_s = 0.0
         if self._next == len(self._noise):
             self._noise, self._next = self._noise_sd * self._random.standard_normal((self._BLOCK, 3)), 0
-        reading = self._state + self.bias + self._noise[self._next]
+        reading = self.state + self.bias + self._noise[self._next]
         self._next += 1
         if spec.step > 0.0:
             reading = np.rint(reading / spec.step) * spec.step
