@@ -150,6 +150,7 @@ class TractionConfig(_Section):
     torque_gain_rpm_per_nms: NonNegative
     slip_gain_per_s: NonNegative
     forget_per_s: NonNegative
+    speed_keeping_per_s: NonNegative
     release_per_s: Positive
     trim_max_rpm: NonNegative
 

@@ -157,8 +157,8 @@ def _update(
     load_n = wheel_loads_n(design, estimate)
     pull_n = _four([torque / design.radius_m for torque in torque_nm])
     use = _four([pull / load for pull, load in zip(pull_n, load_n, strict=True)])
-    slow_rpm, fast_rpm = slip_limits_rpm(design, estimate)
     turning_rpm = _four([speed / _RADPS_PER_RPM for speed in speed_radps])
+    slow_rpm, fast_rpm = slip_limits_rpm(design, turning_rpm, estimate)
     beyond_rpm = _four(
         [
             max(rpm - fast, 0.0) + min(rpm - slow, 0.0)
@@ -186,7 +186,7 @@ def _update(
         force_n=force_n,
         torque_nm=torque_nm,
         power_w=_four([torque * speed for torque, speed in zip(torque_nm, speed_radps, strict=True)]),
-        electric_w=_electric_w(inputs),
+        electric_w=electric_w(inputs),
         friction_use=use,
         friction=task.friction,
         trim_rpm=trim_rpm,
@@ -219,11 +219,11 @@ def _torque_nm(current_a: float, speed_radps: float) -> float:
     return (current_a - drag_a) * _MOTOR.torque_per_amp_nm
 
 
-def _electric_w(inputs: Inputs) -> Four:
-    """Battery voltage times each motor's battery current."""
+def electric_w(inputs: Inputs) -> Four:
+    """Battery voltage times each motor's battery current; zero without a sample."""
     left, right = inputs.drive_left, inputs.drive_right
-    assert left is not None
-    assert right is not None
+    if left is None or right is None:
+        return STILL
     (fl, rl), (fr, rr) = left.battery_current_a, right.battery_current_a
     return fl * left.battery_v, fr * right.battery_v, rl * left.battery_v, rr * right.battery_v
 
@@ -316,15 +316,20 @@ def _in_proportion(design: TractionDesign, task: Task, most_n: Four) -> Four:
 # ---- carrying out
 
 
-def slip_limits_rpm(design: TractionDesign, estimate: Estimate) -> tuple[Four, Four]:
-    """Slowest and fastest that each wheel should turn at the body's speed and yaw rate."""
+def slip_limits_rpm(design: TractionDesign, turning_rpm: Four, estimate: Estimate) -> tuple[Four, Four]:
+    """Slowest and fastest that each wheel should turn at the body's speed and yaw rate.
+
+    Slip that all four wheels have is what this ground takes, and the drive's to decide: the speed that
+    `slip_max` is a share of is that of the slowest wheel where it is faster than the body.
+    """
     config, odometry = design.config, estimate.odometry
     turning = odometry.yaw_rate_radps * design.half_track_m
     rpm_per_mps = 1.0 / (design.radius_m * _RADPS_PER_RPM)
+    slowest = min(map(abs, turning_rpm)) / rpm_per_mps
     slow, fast = [], []
     for side in _SIDE:
         speed = odometry.speed_mps - side * turning
-        spread = config.slip_max * abs(speed) + config.slip_margin_mps
+        spread = config.slip_max * max(abs(speed), slowest) + config.slip_margin_mps
         slow.append((speed - spread) * rpm_per_mps)
         fast.append((speed + spread) * rpm_per_mps)
     return _four(slow), _four(fast)
@@ -333,19 +338,23 @@ def slip_limits_rpm(design: TractionDesign, estimate: Estimate) -> tuple[Four, F
 def _trim(
     config: TractionConfig, trim_rpm: Four, wheel_rpm: Four, missing_nm: Four, beyond_rpm: Four, dt: float
 ) -> Four:
-    """Integrate what each wheel's torque misses of its share, less what it slips beyond its limit."""
+    """Integrate what each wheel's torque misses of its share, less what it slips beyond its limit.
+
+    What both wheels of a side have in common would change speed or yaw rate, which are the drive's: it fades.
+    """
     if wheel_rpm == STILL:
-        keep = max(0.0, 1.0 - config.release_per_s * dt)
-        return _four([keep * trim if abs(trim) > _SNAP_RPM else 0.0 for trim in trim_rpm])
-    torque, slip, keep = (
-        config.torque_gain_rpm_per_nms,
-        config.slip_gain_per_s,
-        1.0 - config.forget_per_s * dt,
-    )
+        left_over = max(0.0, 1.0 - config.release_per_s * dt)
+        return _four([left_over * trim if abs(trim) > _SNAP_RPM else 0.0 for trim in trim_rpm])
+    fl, fr, rl, rr = trim_rpm
+    left, right = 0.5 * (fl + rl), 0.5 * (fr + rr)
+    fade, keep = config.forget_per_s * dt, config.speed_keeping_per_s * dt
+    torque, slip = config.torque_gain_rpm_per_nms * dt, config.slip_gain_per_s * dt
     return _four(
         [
-            keep * trim + dt * (torque * missing - slip * beyond)
-            for trim, missing, beyond in zip(trim_rpm, missing_nm, beyond_rpm, strict=True)
+            trim - fade * (trim - both) - keep * both + torque * missing - slip * beyond
+            for trim, both, missing, beyond in zip(
+                trim_rpm, (left, right, left, right), missing_nm, beyond_rpm, strict=True
+            )
         ]
     )
 
