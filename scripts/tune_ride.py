@@ -21,6 +21,8 @@ from tiger.config.vehicle import load_vehicle
 from tiger.control import ride
 from tiger.control.margins import closed_loop
 from tiger.control.ride import ImuNoise, RideWeights, RoadPrior
+from tiger.control.ride_bank import oblique
+from tiger.control.ride_designs import RideTuning
 from tiger.models.full_car import FullCarParameters
 from tiger.models.road import Bump, iso_road, wheel_heights_m
 from tiger.studies import ride_cases
@@ -31,6 +33,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from tiger.control.ride import RideController
+    from tiger.control.ride_bank import RideBank
+
     Array = NDArray[np.float64]
 
 CAR = FullCarParameters.from_config(load_vehicle("table-6-1"))
@@ -39,18 +44,24 @@ PRINTED_ACTIVE_BUMPY = np.array(
 )
 START = np.log([1.33, 5.02, 0.77, 0.89, 0.04, 7.95, 2.95, 2.21, 8.73, 3.2e-10, 0.1, 0.0046, 2.54, 0.5])
 START_ISO = np.log([1.0, 1.0, 1.0, 1.0, 1.0, 100.0, 100.0, 2000.0, 2000.0, 1e-9, 0.0225, 0.02, 100.0, 0.05])
+EXTRA = {"robust": [10.0, 3.0], "bumpy-plain-x1": [1.0, 1.0], "bumpy-oblique-x1": [1.0, 1.0, 0.3]}
+"""Where the optional parameters of `tuning_of` start."""
 SEED = 1000
 
 
-def build(parameters: Array, noise: ImuNoise, preview_s: float | None, delay: int = 0) -> ride.RideController:
-    """Turn log-parameters into a controller; the last one is the lane correlation's logit."""
-    w = np.exp(parameters)
-    if len(w) > 14:  # what the filter assumes of the IMU, to keep the loop's gain down
-        noise = ImuNoise(noise.accel_mps2 * w[14], noise.rate_radps * w[15])
-    prior = RoadPrior(w[10], w[11], w[12], lane_correlation=float(np.tanh(w[13])))
-    return ride.design(
-        ride.ride_model(CAR, prior, preview_s), RideWeights(*(float(x) for x in w[:10])), noise, delay
-    )
+def tuning_of(parameters: Array) -> RideTuning:
+    """Turn log-parameters into a tuning.
+
+    Ten weights, noise, leak and bandwidth of the road, then the inverse hyperbolic tangent of a correlation.
+    Optional: two factors on what the filter assumes of the IMU, to keep the loop's gain down; damping of the
+    road, and then the correlation is that of the axles.
+    """
+    w = [float(x) for x in np.exp(parameters)]
+    correlation = float(np.tanh(w[13]))
+    prior = RoadPrior(w[10], w[11], w[12], lane_correlation=correlation)
+    if len(w) > 16:
+        prior = RoadPrior(w[10], w[11], w[12], axle_correlation=correlation, damping=w[16])
+    return RideTuning(RideWeights(*w[:10]), prior, *w[14:16])
 
 
 @dataclass
@@ -61,6 +72,7 @@ class Bumpy:
     preview_s: float | None
     seeds: int = 12
     judge_mean: bool = False
+    oblique: bool = False
     power: float = 60.0
 
     def __post_init__(self) -> None:
@@ -68,7 +80,12 @@ class Bumpy:
         self.road = wheel_heights_m(Bump(), fine_time_s(4.13), 20.0, (0, 0.049, 0.102, 0.151))
 
     def __call__(self, x: Array) -> float:
-        controller = build(x, self.noise, self.preview_s)
+        tuning = tuning_of(x)
+        controller: RideController | RideBank = (
+            oblique(tuning, CAR, self.noise, ride_cases.BUMPY_LANE_LAG_S)
+            if self.oblique
+            else tuning.controller(CAR, self.noise, self.preview_s)
+        )
         run = simulate(CAR, self.road, controller, self.noise, tuple(range(SEED, SEED + self.seeds)))
         ratio = performance_index(CAR, 0.08, run) / PRINTED_ACTIVE_BUMPY
         if self.judge_mean:
@@ -98,7 +115,7 @@ class Iso:
         self.passive = performance_index(CAR, 0.08, simulate(CAR, self.road, seeds=self.run_seeds))
 
     def __call__(self, x: Array) -> float:
-        controller = build(x, self.noise, self.preview_s, self.delay)
+        controller = tuning_of(x).controller(CAR, self.noise, self.preview_s, delay_samples=self.delay)
         run = simulate(
             CAR, self.road, controller, self.noise, self.run_seeds, delay_s=self.delay * ride.PERIOD_S
         )
@@ -117,7 +134,7 @@ class Robust(Iso):
     radius: float = 0.9995
 
     def __call__(self, x: Array) -> float:
-        controller = build(x, self.noise, self.preview_s, self.delay)
+        controller = tuning_of(x).controller(CAR, self.noise, self.preview_s, delay_samples=self.delay)
         rng = np.random.default_rng(SEED)
         worst = 0.0
         for signs in np.sign(rng.standard_normal((12, 6))):
@@ -133,6 +150,7 @@ GOALS: dict[str, Callable[[], Bumpy | Iso]] = {
     "bumpy-preview-x0.03": lambda: Bumpy(0.03, 0.102, seeds=60),
     "bumpy-preview-x0.1": lambda: Bumpy(0.1, 0.102, seeds=40, judge_mean=True),
     "bumpy-plain-x1": lambda: Bumpy(1.0, None, seeds=6, judge_mean=True),
+    "bumpy-oblique-x1": lambda: Bumpy(1.0, None, seeds=12, judge_mean=True, oblique=True),
     "iso-preview": lambda: Iso(np.array([0.375, 0.33, 0.365, 0.97, 0.97, 1.31, 1.31]), 0.268),
     "iso-plain": lambda: Iso(np.array([0.375, 0.33, 0.365, 0.97, 0.97, 1.31, 1.31]), None),
     "holding-plain": lambda: Iso(np.array([0.51, 0.45, 0.56, 0.99, 0.99, 0.99, 0.99]), None),
@@ -223,8 +241,7 @@ def main() -> None:
     goal = GOALS[arguments.name]()
     if arguments.power is not None:
         goal.power = arguments.power
-    if arguments.name in ("robust", "bumpy-plain-x1") and len(start) == 14:
-        start = np.append(start, np.log([10.0, 3.0]) if arguments.name == "robust" else [0.0, 0.0])
+    start = np.append(start, np.log(EXTRA.get(arguments.name, ()))[len(start) - 14 :])
     minimise(goal, start, arguments.step, arguments.minutes, arguments.name)
 
 

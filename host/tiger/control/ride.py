@@ -1,9 +1,9 @@
 """Chapter 6: a Kalman filter on one noisy IMU and a linear-quadratic regulator over what it estimates.
 
 Measured are [heave acceleration at the IMU, pitch rate, roll rate]. The filter estimates the 14 states of the
-car and the road: four independent wheel roads, or two tracks whose front wheels show the rear wheels their
-road a wheelbase later (preview). The regulator weighs body accelerations and rates, suspension and tyre
-deflections, and forces.
+car and the road: four independent wheel roads, or fewer of which one wheel shows another its road a while
+later: front to rear along a track (preview), or one lane to the other where waves lie askew (lane lag). The
+regulator weighs body accelerations and rates, suspension and tyre deflections, and forces.
 """
 
 from __future__ import annotations
@@ -58,9 +58,11 @@ class ImuNoise:
 
 @dataclass(frozen=True, slots=True)
 class RoadPrior:
-    """What the filter believes of a road: q' = v - leak q, v' = bandwidth (noise w - v) with w white of unit
-    intensity.
+    """What the filter believes of a road: q' = v - leak q, with the rate v of the road a shaped white noise.
 
+    damping None: v' = bandwidth (noise w - v), w white of unit intensity. Otherwise v is of second order with
+    natural frequency `bandwidth_radps`, v'' = bandwidth^2 (noise w - v) - 2 damping bandwidth v': below 1 a
+    swell with a preferred wavelength, whose slope has no steps.
     `noise` (m/sqrt(s)) is the road rate's density well below `bandwidth_radps`; a class C road at 10 m/s has
     0.0225.
     """
@@ -71,11 +73,17 @@ class RoadPrior:
     lane_correlation: float = 0.0
     """Between the noise of the left and of the right lane: 0 for two roads, near 1 for bumps across the
     road."""
+    axle_correlation: float = 0.0
+    """Between the noise at the front and at the rear axle, where no preview joins them."""
+    damping: float | None = None
 
     def dynamics(self) -> tuple[Array, Array]:
-        """Return A (2, 2) and the noise input (2,) of [q, v]."""
-        a = np.array([[-self.leak_radps, 1.0], [0.0, -self.bandwidth_radps]])
-        return a, np.array([0.0, self.bandwidth_radps * self.noise])
+        """Return A (n, n) and the noise input (n,) of [q, v] or [q, v, v']."""
+        leak, w = self.leak_radps, self.bandwidth_radps
+        if self.damping is None:
+            return np.array([[-leak, 1.0], [0.0, -w]]), np.array([0.0, w * self.noise])
+        a = np.array([[-leak, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, -(w**2), -2 * self.damping * w]])
+        return a, np.array([0.0, 0.0, w**2 * self.noise])
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +137,7 @@ class RideModel:
 class RideController:
     """Gains of filter and regulator over `model`, and how late its force acts.
 
+    innovation (3, 3) is the covariance that the filter expects of its innovations.
     delay_samples 0: the force computed from a measurement acts at once; 1: it acts a period later, and the
     regulator works on the state predicted for that time.
     """
@@ -136,6 +145,7 @@ class RideController:
     model: RideModel
     filter_gain: Array
     feedback: Array
+    innovation: Array
     delay_samples: int = 0
     max_force_n: float = np.inf
 
@@ -184,58 +194,89 @@ def ride_model(
     preview_s: float | None = None,
     imu_offset_m: tuple[float, float] = (0.0, 0.0),
     period_s: float = PERIOD_S,
+    lane_lag_s: float | None = None,
 ) -> RideModel:
     """Sample the car together with its road.
 
-    preview_s None: four independent roads. Otherwise two tracks, and each rear wheel meets its track
-    `preview_s` after the front wheel; the delay need not be a whole number of samples, but must be at least
-    one.
+    preview_s and lane_lag_s None: four independent roads. preview_s: two tracks, and each rear wheel meets
+    its track `preview_s` after the front wheel. lane_lag_s: what one lane meets the other meets
+    `abs(lane_lag_s)` later, the right one if positive, the left one if negative. Delays need not be whole
+    numbers of samples, but must be at least one.
     """
     car = full_car(p, imu_offset_m)
     imu = car.select(inputs=FORCE, outputs=IMU)
     regulated = car.select(inputs=(*ROAD, *FORCE), outputs=REGULATED)
-    sources = 4 if preview_s is None else 2
+    leads, delays = _delays(preview_s, lane_lag_s, period_s)
+    late = [wheel for wheel in range(4) if wheel not in leads]
     track, drive = prior.dynamics()
 
     # Car and shaping filters as one continuous system, so that the road is exact between the samples.
-    size = CAR_STATES + 2 * sources
-    height = np.arange(CAR_STATES, size, 2)
+    order, sources = len(track), len(leads)
+    size = CAR_STATES + order * sources
+    height = np.arange(CAR_STATES, size, order)
+    to_wheels = car.select(inputs=ROAD).b
     a, noise = np.zeros((size, size)), np.zeros((size, sources))
     a[:CAR_STATES, :CAR_STATES] = car.a
-    a[:CAR_STATES, height] = car.select(inputs=ROAD[:sources]).b
+    a[:CAR_STATES, height] = to_wheels[:, leads]
     a[CAR_STATES:, CAR_STATES:] = np.kron(np.eye(sources), track)
-    lanes = np.array([[1.0, 0.0], [prior.lane_correlation, np.sqrt(1 - prior.lane_correlation**2)]])
-    noise[CAR_STATES:] = np.kron(np.kron(np.eye(sources // 2), lanes), drive[:, None])
-    held = np.zeros((size, 4 + 2))
+    together = np.kron(_joint_noise(prior.axle_correlation), _joint_noise(prior.lane_correlation))
+    covariance = (together @ together.T)[np.ix_(leads, leads)]
+    noise[CAR_STATES:] = np.kron(np.linalg.cholesky(covariance), drive[:, None])
+    held = np.zeros((size, 4 + len(late)))
     held[:CAR_STATES, :4] = imu.b
-    held[:CAR_STATES, 4:] = car.select(inputs=ROAD[2:]).b
+    held[:CAR_STATES, 4:] = to_wheels[:, late]
     transition, constant, ramp = hold(a, held, period_s)
     process = _sampled_noise(a, noise @ noise.T, period_s)
 
-    selector = np.zeros((4, size))
-    selector[np.arange(sources), height] = 1.0
-    if preview_s is None:
-        return _assemble(transition, constant[:, :4], imu, regulated, selector, process, period_s)
-
-    whole, part = divmod(preview_s / period_s, 1.0)
-    taps = int(whole) + 1
-    if whole < 1:
-        raise ValueError(f"the preview of {preview_s} s is shorter than one period of {period_s} s")
-    total = size + 2 * taps
-    # Tap j of a track holds its height j samples ago; the rear wheel lies between the last two taps.
-    shift, now, then = np.zeros((total, total)), np.zeros((2, total)), np.zeros((2, total))
-    for side in range(2):
-        line = np.r_[height[side], size + side * taps + np.arange(taps)]
+    # Tap j of a source holds its height j samples ago; a late wheel lies between two taps.
+    depth = int(max(delay for _, delay in delays) / period_s)
+    taps = depth + 1 if late else 0
+    total = size + sources * taps
+    shift, now, then = np.zeros((total, total)), np.zeros((4, total)), np.zeros((4, total))
+    lines = [np.r_[height[i], size + i * taps + np.arange(taps)] for i in range(sources)]
+    for line in lines:
         shift[line[1:], line[:-1]] = 1.0
-        now[side, line[-2:]] = 1 - part, part
-        then[side, line[-3:-1]] = 1 - part, part
+    for wheel, (source, delay) in enumerate(delays):
+        whole, part = divmod(delay / period_s, 1.0)
+        tap, line = int(whole), lines[source]
+        if wheel in late:
+            now[wheel, line[tap : tap + 2]] = 1 - part, part
+            then[wheel, line[tap - 1 : tap + 1]] = 1 - part, part
+        else:
+            now[wheel, line[0]] = 1.0
     shift[:size, :size] = transition
-    shift[:size] += (constant[:, 4:] - ramp[:, 4:]) @ now + ramp[:, 4:] @ then
-    selector = np.hstack([selector, np.zeros((4, 2 * taps))])
-    selector[2:] = now
-    b = np.vstack([constant[:, :4], np.zeros((2 * taps, 4))])
-    process = block_diag(process, np.zeros((2 * taps, 2 * taps)))
-    return _assemble(shift, b, imu, regulated, selector, process, period_s)
+    shift[:size] += (constant[:, 4:] - ramp[:, 4:]) @ now[late] + ramp[:, 4:] @ then[late]
+    rest = np.zeros((sources * taps, sources * taps))
+    b = np.vstack([constant[:, :4], np.zeros((len(rest), 4))])
+    return _assemble(shift, b, imu, regulated, now, block_diag(process, rest), period_s)
+
+
+def _delays(
+    preview_s: float | None, lane_lag_s: float | None, period_s: float
+) -> tuple[list[int], list[tuple[int, float]]]:
+    """Return the wheels with a road of their own, and for every wheel which of those roads it meets and how
+    late."""
+    for name, delay in (("preview", preview_s), ("lane lag", lane_lag_s)):
+        if delay is not None and abs(delay) < period_s:
+            raise ValueError(f"the {name} of {delay} s is shorter than one period of {period_s} s")
+    lag = lane_lag_s or 0.0
+    lane_delay, axle_delay = (max(0.0, -lag), max(0.0, lag)), (0.0, preview_s or 0.0)
+    leading_lanes = [lane for lane in (0, 1) if lane_delay[lane] == 0]
+    leading_axles = [axle for axle in (0, 1) if axle_delay[axle] == 0]
+    leads = [2 * axle + lane for axle in leading_axles for lane in leading_lanes]
+    delays = []
+    for wheel in range(4):
+        axle, lane = divmod(wheel, 2)
+        leader = 2 * (axle if axle in leading_axles else 0) + (
+            lane if lane in leading_lanes else leading_lanes[0]
+        )
+        delays.append((leads.index(leader), axle_delay[axle] + lane_delay[lane]))
+    return leads, delays
+
+
+def _joint_noise(correlation: float) -> Array:
+    """Return a factor (2, 2) of the covariance of two unit noises."""
+    return np.array([[1.0, 0.0], [correlation, np.sqrt(1 - correlation**2)]])
 
 
 def design(
@@ -251,7 +292,7 @@ def design(
         raise ValueError(f"the force may act 0 or 1 samples late, not {delay_samples}")
     filtered = steady_state_gain(model.a, model.c, model.process, noise.covariance())
     feedback = regulate(model, weights).gain
-    return RideController(model, filtered.gain, feedback, delay_samples, max_force_n)
+    return RideController(model, filtered.gain, feedback, filtered.innovation, delay_samples, max_force_n)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

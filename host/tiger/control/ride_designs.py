@@ -41,9 +41,10 @@ class RideTuning:
         imu_offset_m: tuple[float, float] = (0.0, 0.0),
         delay_samples: int = 0,
         max_force_n: float = np.inf,
+        lane_lag_s: float | None = None,
     ) -> RideController:
         """Design the controller for a vehicle: see `ride.ride_model` and `ride.design`."""
-        model = ride_model(p, self.prior, preview_s, imu_offset_m)
+        model = ride_model(p, self.prior, preview_s, imu_offset_m, lane_lag_s=lane_lag_s)
         assumed = ImuNoise(
             noise.accel_mps2 * self.accel_noise_factor, noise.rate_radps * self.rate_noise_factor
         )
@@ -104,22 +105,28 @@ BUMPY_PREVIEW = RideTuning(
 
 BUMPY_PLAIN = RideTuning(
     RideWeights(
-        pitch_accel=0.874512,
-        roll_accel=232.658,
-        heave_rate=0.108306,
-        pitch_rate=2.51908,
-        roll_rate=0.0130853,
-        suspension_front=5.80786,
-        suspension_rear=0.892044,
-        tire_front=0.466247,
-        tire_rear=2.72337,
-        force=7.39238e-11,
+        pitch_accel=2.67698,
+        roll_accel=15.0825,
+        heave_rate=0.0622168,
+        pitch_rate=2.54483,
+        roll_rate=0.0641307,
+        suspension_front=9.60636,
+        suspension_rear=6.72462,
+        tire_front=0.407304,
+        tire_rear=3.73357,
+        force=1.54304e-10,
     ),
-    RoadPrior(noise=0.0297704, leak_radps=0.00195842, bandwidth_radps=1.5385, lane_correlation=0.182898),
-    accel_noise_factor=0.888814,
-    rate_noise_factor=0.351529,
+    RoadPrior(
+        noise=0.162096,
+        leak_radps=0.00322489,
+        bandwidth_radps=4.99044,
+        axle_correlation=0.606594,
+        damping=0.102429,
+    ),
+    accel_noise_factor=1.19369,
+    rate_noise_factor=1.32459,
 )
-"""Bumpy road without preview, nominal IMU."""
+"""Bumpy road without preview, nominal IMU: for `ride_bank.oblique`, and alone for four separate roads."""
 
 
 ISO_PREVIEW = RideTuning(

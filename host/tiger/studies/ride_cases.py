@@ -9,6 +9,8 @@ import numpy as np
 
 from tiger.config.errors import ConfigError
 from tiger.config.vehicle import load_vehicle
+from tiger.control import ride_bank, ride_designs
+from tiger.control.ride import ImuNoise
 from tiger.models.full_car import FullCarParameters
 from tiger.models.road import Bump, iso_road, rear_delay_s, wheel_heights_m
 from tiger.studies.performance import fine_time_s
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from tiger.config.vehicle import VehicleConfig
+    from tiger.control.ride import RideController
+    from tiger.control.ride_bank import RideBank
 
     Array = NDArray[np.float64]
 
@@ -27,6 +31,7 @@ BUMPY_DELAYS_S = (0.0, 0.049, 0.102, 0.151)
 """When FL, FR, RL, RR meet the bump of the printed table: fitted, for (6.30) as printed gives no roll at
 all."""
 BUMPY_PREVIEW_S = BUMPY_DELAYS_S[2] - BUMPY_DELAYS_S[0]
+BUMPY_LANE_LAG_S = BUMPY_DELAYS_S[1] - BUMPY_DELAYS_S[0]
 BUMPY_DURATION_S = 4.13
 
 ISO_SPEED_MPS = 10.0
@@ -97,6 +102,26 @@ def bumpy_road(speed_mps: float = BUMPY_SPEED_MPS, duration_s: float = BUMPY_DUR
     speed."""
     delays = [delay * BUMPY_SPEED_MPS / speed_mps for delay in BUMPY_DELAYS_S]
     return wheel_heights_m(Bump(), fine_time_s(duration_s), speed_mps, delays)
+
+
+def bumpy_controller(
+    case: Case,
+    noise_factor: float,
+    preview: bool,
+    speed_mps: float = BUMPY_SPEED_MPS,
+    suspension_factor: float = 1.0,
+    max_force_n: float = np.inf,
+) -> RideController | RideBank:
+    """Design the controller for the bumpy road at a speed and an IMU of `noise_factor` x the nominal noise.
+
+    preview: the rear wheels are told what the front wheels met. Without it a bank finds out which lane leads.
+    """
+    noise = ImuNoise().scaled(noise_factor)
+    tuning = ride_designs.for_bumpy_road(noise_factor, preview).with_suspension(suspension_factor)
+    slower = BUMPY_SPEED_MPS / speed_mps
+    if preview:
+        return tuning.controller(case.car, noise, BUMPY_PREVIEW_S * slower, max_force_n=max_force_n)
+    return ride_bank.oblique(tuning, case.car, noise, BUMPY_LANE_LAG_S * slower, max_force_n=max_force_n)
 
 
 def iso_roads(

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiger.control import ride_designs
 from tiger.control.ride import ImuNoise
 from tiger.studies import ride_cases
 from tiger.studies.performance import performance_index, simulate
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
-
-    from tiger.control.ride import RideController
 
     Array = NDArray[np.float64]
 
@@ -56,7 +53,7 @@ def run(
     for i, speed in enumerate(speeds):
         road = _road(float(speed))
         factor = suspension_factor(case, float(speed), noise, preview) if schedule else 1.0
-        controller = _controller(case, float(speed), noise, preview, factor)
+        controller = ride_cases.bumpy_controller(case, noise, preview, float(speed), factor)
         active = simulate(case.car, road, controller, imu_noise, (seed,))
         index = performance_index(case.car, case.rattle_space_m, active)[0]
         still = performance_index(case.car, case.rattle_space_m, simulate(case.car, road))[0]
@@ -104,14 +101,6 @@ def _road(speed_mps: float) -> Array:
     return ride_cases.bumpy_road(speed_mps, ride_cases.BUMPY_DURATION_S * max(1.0, ratio))
 
 
-def _controller(
-    case: ride_cases.Case, speed_mps: float, noise: float, preview: bool, factor: float
-) -> RideController:
-    delay = ride_cases.BUMPY_PREVIEW_S * ride_cases.BUMPY_SPEED_MPS / speed_mps if preview else None
-    tuning = ride_designs.for_bumpy_road(noise, preview).with_suspension(factor)
-    return tuning.controller(case.car, ImuNoise().scaled(noise), delay)
-
-
 def suspension_factor(case: ride_cases.Case, speed_mps: float, noise: float, preview: bool) -> float:
     """Return the least factor (from 1 up) on the suspension weight that keeps mu <= DESIGN_MU without noise.
 
@@ -121,7 +110,8 @@ def suspension_factor(case: ride_cases.Case, speed_mps: float, noise: float, pre
     road = _road(speed_mps)
 
     def peak(factor: float) -> float:
-        run_ = simulate(case.car, road, _controller(case, speed_mps, noise, preview, factor))
+        controller = ride_cases.bumpy_controller(case, noise, preview, speed_mps, factor)
+        run_ = simulate(case.car, road, controller)
         return float(np.abs(run_.suspension_m).max()) / case.rattle_space_m
 
     if peak(1.0) <= DESIGN_MU:

@@ -54,9 +54,38 @@ def test_preview_gives_the_rear_wheels_the_front_road_after_the_delay(preview_s:
     assert accelerations[:199] == pytest.approx(car, abs=2e-3 * np.abs(car).max())
 
 
-def test_preview_shorter_than_a_period_is_refused() -> None:
+def wheel_heights(model: ride.RideModel, sources: int, steps: int) -> np.ndarray:
+    """Return what the wheels meet when the first source steps to 1 and all others stay at 0."""
+    s, heights = np.zeros(len(model.a)), []
+    s[14] = 1.0
+    for _ in range(steps):
+        heights.append(s[6:14:2] - model.h[-4:] @ s)
+        s = model.a @ s
+    return np.array(heights)
+
+
+@pytest.mark.parametrize(("lag_s", "first", "later"), [(0.049, 0, 1), (-0.049, 1, 0)])
+def test_one_lane_gives_the_other_its_road_after_the_lag(lag_s: float, first: int, later: int) -> None:
+    model = ride_model(CAR, RoadPrior(1.0, 1e-6, 10.0), lane_lag_s=lag_s)
+    road = wheel_heights(model, 2, 20)
+    assert road[:, first] == pytest.approx(np.ones(20), rel=1e-3)
+    assert road[:9, later] == pytest.approx(np.zeros(9), abs=1e-12)
+    assert road[9, later] == pytest.approx(0.2, rel=1e-3)  # 49 ms lie a fifth of a sample before the tenth
+    assert road[10:, later] == pytest.approx(np.ones(10), rel=1e-3)
+    assert road[:, 2:] == pytest.approx(np.zeros((20, 2)), abs=1e-12)
+
+
+def test_preview_and_lane_lag_together_leave_one_road_for_all_wheels() -> None:
+    model = ride_model(CAR, RoadPrior(1.0, 1e-6, 10.0), 0.1, lane_lag_s=0.05)
+    road = wheel_heights(model, 1, 40)
+    arrival = [int(np.flatnonzero(column > 0.5)[0]) for column in road.T]
+    assert arrival == [0, 10, 20, 30]
+
+
+@pytest.mark.parametrize("delays", [{"preview_s": 0.004}, {"lane_lag_s": -0.004}])
+def test_delay_shorter_than_a_period_is_refused(delays: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="shorter than one period"):
-        ride_model(CAR, PRIOR, 0.004)
+        ride_model(CAR, PRIOR, **delays)
 
 
 def test_delay_must_be_none_or_one_sample() -> None:
@@ -70,6 +99,23 @@ def test_road_prior_has_the_stated_density_of_road_rate() -> None:
     omega = 1.0
     response = np.linalg.solve(1j * omega * np.eye(2) - a, b)
     assert abs(response[1]) == pytest.approx(PRIOR.noise, rel=1e-3)
+
+
+def test_swell_has_its_density_at_rest_and_resonates_at_its_frequency() -> None:
+    a, b = RoadPrior(0.02, 0.05, 6.0, damping=0.1).dynamics()
+    rate = [abs(np.linalg.solve(1j * omega * np.eye(3) - a, b)[1]) for omega in (0.01, 6.0, 60.0)]
+    assert rate[0] == pytest.approx(0.02, rel=1e-3)
+    assert rate[1] == pytest.approx(0.02 / (2 * 0.1), rel=1e-3)
+    assert rate[2] == pytest.approx(0.02 / 99, rel=1e-2)
+
+
+def test_axles_are_correlated_as_asked() -> None:
+    model = ride_model(CAR, RoadPrior(0.02, 0.05, 30.0, axle_correlation=0.6))
+    slopes = [15, 17, 19, 21]  # FL, FR, RL, RR
+    covariance = model.process[np.ix_(slopes, slopes)]
+    correlation = covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
+    expected = np.kron([[1, 0.6], [0.6, 1]], np.eye(2))
+    assert correlation == pytest.approx(expected, abs=1e-6)
 
 
 def test_lanes_are_correlated_as_asked() -> None:
