@@ -214,6 +214,101 @@ class BalanceConfig(_Section):
         return self
 
 
+class OdometryConfig(_Section):
+    """Noise of IMU, wheels and magnetometer as dead reckoning assumes it, and when a wheel slips."""
+
+    gyro_scale_factor: Annotated[float, Field(ge=0.9, le=1.1, strict=True)]
+    place_walk_m: Positive
+    angle_walk_deg: Positive
+    speed_walk_mps: Positive
+    gyro_bias_walk_degps: Positive
+    accel_bias_walk_mps2: Positive
+    field_walk_ut: Positive
+    start_speed_mps: Positive
+    start_tilt_deg: Positive
+    start_gyro_bias_degps: Positive
+    start_accel_bias_mps2: Positive
+    start_field_ut: Positive
+    start_iron_ut: Positive
+    wheel_scale_sigma: Positive
+    wheel_sigma_mps: Positive
+    wheel_noise_mps: Positive
+    wheel_noise_ratio: Positive
+    gate_sigmas: Positive
+    longest_tooth_s: Positive
+    memory: Positive
+    push_time_s: Annotated[float, Field(ge=0.02, strict=True)]
+    scrub_start: Factor
+    scrub_most: Factor
+    scrub_noise: Positive
+    scrub_speed_m: Positive
+    scrub_least_radps: Positive
+    scrub_learning_per_rad: Annotated[float, Field(ge=0.0, le=2.0, strict=True)]
+    slide_sigma_mps: Positive
+    slide_m: Positive
+    stand_s: Positive
+    stand_wheel_radps: Positive
+    stand_speed_mps: Positive
+    stand_yaw_rate_degps: Positive
+    stand_noise_mps: Positive
+    stand_gyro_degps: Positive
+    mag_noise_ut: Positive
+    mag_gate_sigmas: Positive
+    mag_up_noise_ut: Positive
+    mag_up_learning: Annotated[float, Field(ge=0.0, le=1.0, strict=True)]
+    least_speed_mps: Positive
+    event_ratio: Positive
+    event_over_ratio: Positive
+    event_speed_mps: Positive
+    event_sigmas: Positive
+    event_s: NonNegative
+    event_over_s: NonNegative
+
+    @model_validator(mode="after")
+    def _events_have_a_hysteresis(self) -> OdometryConfig:
+        if self.event_over_ratio >= self.event_ratio:
+            raise ValueError(
+                f"event_over_ratio = {self.event_over_ratio} must be below "
+                f"event_ratio = {self.event_ratio}: lower it"
+            )
+        return self
+
+
+class LoadsConfig(_Section):
+    """What `estimation.payload` and `wheel_loads` expect of load, ground and measurements."""
+
+    payload_kg: Positive
+    payload_place_m: Positive
+    payload_height_m: NonNegative
+    payload_height_spread_m: Positive
+    slope_deg: Positive
+    slope_drift_deg: Positive
+    slope_length_m: Positive
+    attitude_noise_deg: Positive
+    force_noise_mps2: Positive
+    rolling_spread: Positive
+    moving_mps: Positive
+    turning_degps: Positive
+    tilt_bandwidth_radps: Annotated[float, Field(ge=0.1, le=5.0, strict=True)]
+    changed_sigmas: Annotated[float, Field(ge=3.0, le=20.0, strict=True)]
+
+
+class RoughnessConfig(_Section):
+    """The road's class from the vertical acceleration (`estimation.roughness`)."""
+
+    band_hz: tuple[Positive, Positive]
+    memory_m: Positive
+    distance_m: Positive
+    min_speed_mps: Positive
+    noise_mps2: NonNegative
+
+    @model_validator(mode="after")
+    def _band(self) -> RoughnessConfig:
+        if self.band_hz[0] >= self.band_hz[1]:
+            raise ValueError(f"band_hz = {self.band_hz} is empty: give a lower and a higher frequency")
+        return self
+
+
 class SafetyConfig(_Section):
     """Limits that the supervisor watches; what each does is a row of its table."""
 
@@ -253,7 +348,10 @@ class RobotConfig(_Section):
     leveling: LevelingConfig
     contact: ContactConfig
     balance: BalanceConfig
+    loads: LoadsConfig
+    roughness: RoughnessConfig
     drive: DriveControlConfig
+    odometry: OdometryConfig
     traction: TractionConfig
     stability: StabilityConfig
     safety: SafetyConfig
