@@ -43,7 +43,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt setup.py | system-host
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "Installing Python packages into $(VENV) (about a minute)"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt \
-	  --editable '.[sim,mpc,cluster,logs,dev]'
+	  --editable '.[sim,cluster,logs,dev]'
 	@touch $@ $(VENV)/.native
 
 # The boards on virtual pins: compiled again whenever a firmware source changes (the install has just done it once).
