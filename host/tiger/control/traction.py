@@ -166,16 +166,7 @@ def _update(
         ]
     )
     friction = _learn_friction(config, state.friction, use, load_n, beyond_rpm, dt)
-    side_use = _sideways_mps2(estimate) / GRAVITY_MPS2
-    fl, fr, rl, rr = pull_n
-    task = Task(
-        pull_n=fl + fr + rl + rr,
-        moment_nm=(fr + rr - fl - rl) * design.half_track_m,
-        load_n=load_n,
-        friction=config.friction + friction,
-        side_use=side_use,
-        speed_mps=_four([speed * design.radius_m for speed in speed_radps]),
-    )
+    task = task_of(design, pull_n, speed_radps, load_n, config.friction + friction, estimate)
     force_n = allocate(design, task)
     trim_rpm = STILL
     if config.mode == "on":
@@ -265,6 +256,26 @@ def _learn_friction(
 
 
 # ---- sharing out
+
+
+def task_of(
+    design: TractionDesign,
+    pull_n: Four,
+    speed_radps: Four,
+    load_n: Four,
+    friction: float,
+    estimate: Estimate,
+) -> Task:
+    """What the drives' speed loops ask of the tyres together, as their torques show it."""
+    fl, fr, rl, rr = pull_n
+    return Task(
+        pull_n=fl + fr + rl + rr,
+        moment_nm=(fr + rr - fl - rl) * design.half_track_m,
+        load_n=load_n,
+        friction=friction,
+        side_use=_sideways_mps2(estimate) / GRAVITY_MPS2,
+        speed_mps=_four([speed * design.radius_m for speed in speed_radps]),
+    )
 
 
 def allocate(design: TractionDesign, task: Task) -> Four:
