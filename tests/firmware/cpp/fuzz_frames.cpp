@@ -92,7 +92,7 @@ int main(int argc, char** argv) {
         wire::payload_in_range_to_board(wire::BoardKind::kMegaSuspension, body[0], body.data() + kFrameHead);
     const bool is_damaged = below(10) != 0;
     recent.push_back(body);
-    if (recent.size() > 8) recent.erase(recent.begin());
+    while (recent.size() > 8) recent.erase(recent.begin());
     if (is_damaged) {
       damage(frame, recent);
       ++damaged;
