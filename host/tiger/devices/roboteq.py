@@ -187,8 +187,8 @@ class _Exchange:
             self._echoed = True
             return True
         if self._echo_may_be_off:
-            # Half a line from before may be answered first; only a "+" can be ours.
-            return line == b"+" and self._answer(sent, line)
+            # Half a line from before may be answered first; of a command, only a "+" can be ours.
+            return (line == b"+" or sent[:1] == b"?") and self._answer(sent, line)
         # Perhaps our command arrived as another one; and an answer without its echo confirms nothing.
         if line in self._stale:
             return False
@@ -369,7 +369,7 @@ class Roboteq:
             if exchange.wrong_echo and exchange.lines[0].startswith("!S"):
                 self._changed(now_s)
             if exchange.refused and self.phase is Phase.CONFIGURING:
-                self._unable(exchange.lines[0])
+                self._unable(exchange.lines[-1])
             self._failed(now_s)
         elif exchange.done:
             self._exchange = None
@@ -429,6 +429,8 @@ class Roboteq:
         )
 
     def _configured(self, line: str, exchange: _Exchange, now_s: float) -> None:
+        if line == STOP_BOTH and not self._as_sent(exchange):
+            return  # damaged: again, at once
         if line.startswith("~") and len(set(exchange.answers)) > 1:
             self._retry_s = now_s + RETRY_S
             return
@@ -454,7 +456,7 @@ class Roboteq:
     @property
     def _configuration(self) -> tuple[str, ...]:
         first = "!EX" if self._emergency else STOP_BOTH
-        scale = ("~MXRPM", READ_BACK) if self._read_back else ()
+        scale = ("~MXRPM",) if self._read_back else ()
         return (first, "^ECHOF 0", f"^RWD {self.watchdog_ms}", "~RWD", *scale)
 
     def _answered(self, name: str, answers: list[tuple[int, ...]], now_s: float) -> None:
@@ -532,7 +534,9 @@ class Roboteq:
 
     def _configuring(self) -> list[str]:
         line = self._configuration[self._step]
-        return [line] * ASKED if line[0] in "~?" else [line]
+        if line == STOP_BOTH and self._read_back:
+            return [line, READ_BACK]
+        return [line] * ASKED if line[0] == "~" else [line]
 
     def _plan_cycle(self, now_s: float) -> None:
         """The next command comes a period later; until then there is time for two queries."""

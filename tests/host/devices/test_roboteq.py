@@ -77,13 +77,12 @@ def test_it_configures_zeroes_and_holds_before_anything_else() -> None:
     bench = Bench()
     bench.run(400)
     assert bench.phase() is Phase.HOLDING
-    assert bench.sent[:7] == [
-        b"?\r!M 0 0\r",
+    assert bench.sent[:6] == [
+        b"?\r!M 0 0\r?CIS\r",
         b"^ECHOF 0\r",
         b"^RWD 150\r",
         b"~RWD\r" * 3,
         b"~MXRPM\r" * 3,
-        b"?CIS\r" * 3,
         b"!S 1 0\r!S 2 0\r?CIS\r",
     ]
     assert bench.driver.ready
@@ -167,6 +166,26 @@ def test_a_new_daemon_on_a_controller_with_a_standing_speed_begins_with_zeros() 
     bench = Bench(controller)
     bench.run(600)
     assert bench.fastest_rpm == 0.0
+    assert bench.driver.ready
+
+
+@pytest.mark.parametrize("echo", [b"", b"^ECHOF 1\r"])
+def test_a_zero_for_both_that_arrives_as_one_for_one_is_repeated_at_once(echo: bytes) -> None:
+    """One bit makes of `!M 0 0` an `!M 0`, which lets the other motor run on at its old speed."""
+    controller = Controller()
+    controller.receive(echo + b"^RWD 150\r!S 1 300\r!S 2 300\r")
+    controller.run(1_000_000)
+    controller.transmit()
+    bench = Bench(controller)
+    hear, controller.receive = controller.receive, lambda data: None  # type: ignore[method-assign]
+    while not bench.sent:
+        bench.run(1)
+    controller.receive = hear  # type: ignore[method-assign]
+    controller.receive(bench.sent[0].replace(b"!M 0 0", b"!M 0  "))
+    bench.run(12)
+    assert not controller.watchdog_expired
+    assert controller.motor_rpm == (0.0, 0.0)
+    bench.run(600)
     assert bench.driver.ready
 
 
