@@ -128,6 +128,7 @@ def test_derivatives_of_the_response_are_those_of_finite_differences() -> None:
     s = 1j * np.array([0.5, 3.0, 25.0])
     local, index, model = maximum_likelihood.jacobian_of(s, x, shape)
     jacobian = np.zeros((*model.shape, len(x)), dtype=complex)
+    local = np.moveaxis(local, -1, 0)
     np.put_along_axis(jacobian, np.broadcast_to(index, local.shape), local, axis=-1)
     for i in range(len(x)):
         moved = x.copy()

@@ -1,9 +1,11 @@
 """The builder to use: maximum likelihood over a state-space model, started by vector fitting.
 
 Vector fitting gives every path its own residue at each shared pole: three times the states that the vehicle
-has. Balanced truncation cuts those to the order, and Gauss-Newton then fits poles, B, C and D of exactly that
-order to all paths at once, each response weighted by its measured variance. Poles live in blocks [[0, 1],
-[-k, -g]], so that stability is k > 0 and g > 0. The inverse of the information matrix gives the intervals.
+has. Balanced truncation cuts those to a few more than are needed, and Gauss-Newton fits poles, B, C and D to
+all paths at once, each response weighted by its measured variance. Then the mode that is missed least is
+taken away, again and again: of two modes of nearly the same frequency truncation would lose one. Poles live
+in blocks [[0, 1], [-k, -g]], so that stability is k > 0 and g > 0. The inverse of the information matrix
+gives the intervals.
 """
 
 from __future__ import annotations
@@ -29,44 +31,63 @@ if TYPE_CHECKING:
     ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 CANDIDATES = (8, 10, 12, 14, 16)
-START_POLES = (18, 20, 16)
-BRIEF = 8
-RIGHT_COST = 1.15
-"""Squared weighted residual per response of a model that explains everything but the noise; it is 1 on
-average."""
+SPARE = 2
+"""States more than the largest order wanted, with which the fit begins."""
+START_POLES = (18, 20, 16, 22)
+TRIAL, BRIEF, THOROUGH = 3, 12, 60
+"""Iterations to judge a mode by its absence, to settle between orders, and to finish."""
+SPREAD_LIMIT = 3.0
+"""Standard deviations of the cost above its mean at which a start counts as failed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Parameters of the model, the cost sum |residual|^2 / variance and the inverse information matrix."""
+    """Parameters of the model, the cost sum |residual|^2 / variance and the information matrix J'J."""
 
     blocks: Array
     b: Array
     c: Array
     d: Array
     cost: float
-    covariance: Array
+    information: Array
+
+    def covariance(self) -> Array:
+        """Return the covariance of the parameters, in the order of `_pack`."""
+        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        # 2: information of complex residuals. The scaling of each mode is free, hence the pseudo-inverse.
+        scaled = 2 * self.information / np.outer(scale, scale)
+        return np.asarray(np.linalg.pinv(scaled, rcond=1e-10, hermitian=True) / np.outer(scale, scale))
 
 
-def build(data: FrfData, order: int | None = None, iterations: int = 12) -> IdentifiedModel:
+def build(data: FrfData, order: int | None = None, iterations: int = THOROUGH) -> IdentifiedModel:
     """Identify a stable model; order None chooses among CANDIDATES by the Bayesian information criterion.
 
-    Vector fitting starts with more poles than are needed, so that it catches the weak modes; where the
-    residual shows that a mode was missed all the same, it starts again with another number of poles.
+    Where the residual is larger than the measured variances explain, a mode was missed, and the fit starts
+    again from another number of poles.
     """
-    orders = tuple(sorted(CANDIDATES, reverse=True)) if order is None else (order,)
-    residuals = int(np.isfinite(data.variance).sum())
+    orders = CANDIDATES if order is None else (order,)
     best: tuple[float, Fit, Array] | None = None
     for poles in START_POLES:
-        full = vector_fitting.expand(data, vector_fitting.fit_poles(data, max(poles, orders[0])))
-        found = _choose(data, full, orders, iterations)
+        found = _descend(data, max(poles, max(orders) + SPARE), orders, iterations)
         if best is None or found[0] < best[0]:
             best = found
-        inside = len(orders) == 1 or 2 * len(best[1].blocks) < orders[0]
-        if inside and best[1].cost <= RIGHT_COST * residuals:
+        inside = len(orders) == 1 or 2 * len(best[1].blocks) < max(orders)
+        if inside and best[1].cost <= _explained(data, 2 * len(best[1].blocks)):
             break
     assert best is not None
     return _identified(data, best[1], best[2])
+
+
+def _parameters(data: FrfData, order: int) -> int:
+    """Return the number of parameters that a model of `order` has, its choice of states apart."""
+    outputs, inputs = data.response.shape[1:]
+    return order * (outputs + inputs) + outputs * inputs
+
+
+def _explained(data: FrfData, order: int) -> float:
+    """Return the cost up to which noise alone may have made it: that of as many complex normal residuals."""
+    residuals = int(np.isfinite(data.variance).sum())
+    return residuals - 0.5 * _parameters(data, order) + SPREAD_LIMIT * float(np.sqrt(residuals))
 
 
 def _truncate(data: FrfData, system: System, order: int) -> tuple[System, Array]:
@@ -79,35 +100,39 @@ def _truncate(data: FrfData, system: System, order: int) -> tuple[System, Array]
     return (a, b * gain, c, d * gain), hankel
 
 
-def _choose(
-    data: FrfData, full: System, orders: tuple[int, ...], iterations: int
-) -> tuple[float, Fit, Array]:
-    """Fit the orders from the largest down; return the best by the criterion, with its value and `full`'s
-    spectrum."""
+def _descend(data: FrfData, poles: int, orders: tuple[int, ...], iterations: int) -> tuple[float, Fit, Array]:
+    """Start from a vector fit and take away one mode at a time; return the best of `orders` by the criterion,
+    with its value and the Hankel singular values of the start."""
     samples = 2 * int(np.isfinite(data.variance).sum())
-    outputs, inputs = data.response.shape[1:]
+    full = vector_fitting.expand(data, vector_fitting.fit_poles(data, poles))
+    start, hankel = _truncate(data, full, max(orders) + SPARE)
+    fit = refine(data, *modal_blocks(start), BRIEF)
     best: tuple[float, Fit] | None = None
-    system = full
-    for order in orders:
-        # A second start where the first ends in a valley of its own: from the fit above, then from vector
-        # fitting.
-        starts = [full] if best is None else [system, full]
-        fit = refine(data, *modal_blocks(_truncate(data, starts[0], order)[0]), BRIEF)
-        if best is not None and fit.cost > RIGHT_COST * samples / 2:
-            other = refine(data, *modal_blocks(_truncate(data, starts[1], order)[0]), BRIEF)
-            fit = min(fit, other, key=lambda f: f.cost)
-        system = from_blocks(fit.blocks), fit.b, fit.c, fit.d
-        parameters = order * (outputs + inputs) + outputs * inputs
+    for order in range(2 * len(fit.blocks) - 2, min(orders) - 1, -2):
+        fit = _without_weakest_mode(data, fit)
+        if order not in orders:
+            continue
         # Twice the negative log-likelihood: real and imaginary part each have half the variance.
-        criterion = 2 * fit.cost + parameters * np.log(samples)
+        criterion = 2 * fit.cost + _parameters(data, order) * np.log(samples)
         if best is None or criterion < best[0]:
             best = criterion, fit
         elif criterion > best[0] + 10 * samples**0.5:
             break  # far worse: what is still smaller can only be worse again
     assert best is not None
-    fit = best[1]
-    polished = refine(data, fit.blocks, fit.b, fit.c, fit.d, iterations)
-    return best[0], polished, _truncate(data, full, orders[0])[1]
+    chosen = best[1]
+    polished = refine(data, chosen.blocks, chosen.b, chosen.c, chosen.d, iterations)
+    return best[0] - 2 * (chosen.cost - polished.cost), polished, hankel
+
+
+def _without_weakest_mode(data: FrfData, fit: Fit) -> Fit:
+    """Leave each mode out in turn, and keep the fit that recovers best."""
+    trials = []
+    for i in range(len(fit.blocks)):
+        states = [2 * i, 2 * i + 1]
+        b, c = np.delete(fit.b, states, axis=0), np.delete(fit.c, states, axis=1)
+        trials.append(refine(data, np.delete(fit.blocks, i, axis=0), b, c, fit.d, TRIAL))
+    best = min(trials, key=lambda trial: trial.cost)
+    return refine(data, best.blocks, best.b, best.c, best.d, BRIEF)
 
 
 def refine(data: FrfData, blocks: Array, b: Array, c: Array, d: Array, iterations: int) -> Fit:
@@ -138,10 +163,7 @@ def refine(data: FrfData, blocks: Array, b: Array, c: Array, d: Array, iteration
         residual, information, gradient = _normal_equations(s, data.response, weight, x, shape)
         if decrease < 1e-7:
             break
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    # 2: information of complex residuals. The scaling of each mode is free, hence the pseudo-inverse.
-    inverse = np.linalg.pinv(2 * information / np.outer(scale, scale), rcond=1e-10, hermitian=True)
-    return Fit(*_unpack(x, shape), residual, inverse / np.outer(scale, scale))
+    return Fit(*_unpack(x, shape), residual, information)
 
 
 def _pack(blocks: Array, b: Array, c: Array, d: Array) -> Array:
@@ -185,22 +207,22 @@ def _normal_equations(
 ) -> tuple[float, Array, Array]:
     """Return the cost, J'J and J'r of the weighted residual, J = dH / dx."""
     jacobian, index, model = jacobian_of(s, x, shape)
-    residual = (h - model) * weight
-    rows = jacobian * weight[..., None]
-    # One small product per path: real parts and imaginary parts below one another.
-    by_path = np.concatenate([rows.real, rows.imag]).transpose(1, 2, 0, 3)
-    target = np.concatenate([residual.real, residual.imag]).transpose(1, 2, 0)[..., None]
-    turned = by_path.swapaxes(-1, -2)
-    information, gradient = np.zeros((len(x), len(x))), np.zeros(len(x))
-    np.add.at(information, (index[..., :, None], index[..., None, :]), turned @ by_path)
-    np.add.at(gradient, index, (turned @ target)[..., 0])
+    residual = np.ascontiguousarray(((h - model) * weight).transpose(1, 2, 0))
+    jacobian *= weight.transpose(1, 2, 0)[:, :, None]
+    # Real and imaginary parts lie side by side along the lines, so that every path is one small real product.
+    rows, target = jacobian.view(float), residual.view(float)
+    size = len(x)
+    products = rows @ rows.swapaxes(-1, -2)
+    pairs = index[..., :, None] * size + index[..., None, :]
+    information = np.bincount(pairs.ravel(), products.ravel(), size * size).reshape(size, size)
+    gradient = np.bincount(index.ravel(), (rows @ target[..., None]).ravel(), size)
     return float(np.sum(target**2)), information, gradient
 
 
 def jacobian_of(
     s: ComplexArray, x: Array, shape: tuple[int, int, int]
 ) -> tuple[ComplexArray, NDArray[np.int64], ComplexArray]:
-    """Return what dH/dx (k, outputs, inputs, 3 n + 1) is not zero, which parameters those are (outputs,
+    """Return what dH/dx (outputs, inputs, 3 n + 1, k) is not zero, which parameters those are (outputs,
     inputs, 3 n + 1), and H (k, outputs, inputs).
 
     A path depends on the poles, its own column of B, its own row of C and its own entry of D.
@@ -210,14 +232,15 @@ def jacobian_of(
     blocks, b, c, d = _unpack(x, shape)
     states = _states(s, blocks, b)
     inverse = _resolvent(s, blocks)
-    read = np.einsum("opi,kpij->kopj", c.reshape(outputs, pairs, 2), inverse)  # C (s - A)^-1
+    read = np.einsum("opi,kpij->opjk", c.reshape(outputs, pairs, 2), inverse)  # C (s - A)^-1
     # dA = -dk e2 e1' - dg e2 e2' in each block.
-    by_block = states.reshape(lines, pairs, 2, inputs)
-    from_a = -np.einsum("kop,kpim->kompi", read[..., 1], by_block)
-    jacobian = np.ones((lines, outputs, inputs, 3 * n + 1), dtype=complex)
-    jacobian[..., :n] = from_a.reshape(lines, outputs, inputs, n)
-    jacobian[..., n : 2 * n] = read.reshape(lines, outputs, 1, n)
-    jacobian[..., 2 * n : 3 * n] = states.transpose(0, 2, 1)[:, None]
+    by_block = states.reshape(lines, pairs, 2, inputs).transpose(3, 1, 2, 0)
+    from_a = -read[:, None, :, 1, None] * by_block
+    jacobian = np.empty((outputs, inputs, 3 * n + 1, lines), dtype=complex)
+    jacobian[:, :, :n] = from_a.reshape(outputs, inputs, n, lines)
+    jacobian[:, :, n : 2 * n] = read.reshape(outputs, 1, n, lines)
+    jacobian[:, :, 2 * n : 3 * n] = states.transpose(2, 1, 0)
+    jacobian[:, :, 3 * n] = 1.0
     at_b, at_c, at_d = n, n + n * inputs, n + n * (inputs + outputs)
     i, j, state = np.ogrid[:outputs, :inputs, :n]
     index = np.empty((outputs, inputs, 3 * n + 1), dtype=np.int64)
@@ -235,9 +258,10 @@ def _identified(data: FrfData, fit: Fit, hankel: Array) -> IdentifiedModel:
     order = np.argsort(k[oscillates])
     frequency = np.sqrt(k) / (2 * np.pi)
     damping = g / (2 * np.sqrt(k))
+    covariance = fit.covariance()
     modes, spread = [], []
     for i in np.flatnonzero(oscillates)[order]:
-        local = fit.covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+        local = covariance[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
         to_frequency = np.array([frequency[i] / (2 * k[i]), 0.0])
         to_damping = np.array([-damping[i] / (2 * k[i]), 1 / (2 * np.sqrt(k[i]))])
         modes.append([frequency[i], damping[i]])
@@ -251,7 +275,7 @@ def _identified(data: FrfData, fit: Fit, hankel: Array) -> IdentifiedModel:
         hankel,
         np.array(modes),
         np.array(spread),
-        fit.covariance,
+        covariance,
     )
 
 
@@ -266,7 +290,7 @@ def response_std(model: IdentifiedModel, frequency_hz: Sequence[float] | Array) 
     jacobian, index, _ = jacobian_of(s, _pack(blocks, model.b, model.c, model.d), shape)
     covariance = model.parameter_covariance[index[..., :, None], index[..., None, :]]
     real, imag = (
-        np.sqrt(np.einsum("k...i,...ij,k...j->k...", part, covariance, part, optimize=True))
+        np.sqrt(np.sum(part * (covariance @ part), axis=2)).transpose(2, 0, 1)
         for part in (jacobian.real, jacobian.imag)
     )
     return real, imag
