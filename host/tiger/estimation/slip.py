@@ -1,0 +1,132 @@
+"""Which wheels slip: what each wheel says of the robot's speed, held against what inertia says.
+
+A wheel that rolls without slip moves its axle at (w + q) r, w being its speed against the body and q the
+body's pitch rate. In a turn a skid-steered wheel scrubs: it runs faster or slower than its place in the turn
+asks for by a factor that both sides share (the effective track over the geometric one, learned here), so that
+the mean of left and right stays true where one side alone is not.
+
+slip ratio = (surface speed - speed over ground)/|speed over ground| of each wheel (erratum of eq. 5.13).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot, sqrt
+from typing import TYPE_CHECKING
+
+from tiger.record import STILL
+
+if TYPE_CHECKING:
+    from tiger.config.robot import OdometryConfig
+    from tiger.record import Four
+
+FourBools = tuple[bool, bool, bool, bool]
+NONE: FourBools = (False, False, False, False)
+_SIDE: Four = (1.0, -1.0, 1.0, -1.0)  # left +
+
+
+@dataclass(frozen=True, slots=True)
+class SlipState:
+    """What lasts from one wheel sample to the next. Wheels FL, FR, RL, RR."""
+
+    scrub: float = 1.0  # effective over geometric track
+    apart_s: Four = STILL  # for how long a wheel has been beyond the threshold (+) or within it (-)
+    slipping: FourBools = NONE
+    ratio: Four = STILL
+
+
+@dataclass(frozen=True, slots=True)
+class Wheels:
+    """Wheel speeds as speeds of the body, had none slipped."""
+
+    surface_mps: Four  # of each tread, over its axle
+    told_mps: Four  # speed of the body's middle that each tells, scrub taken off
+    half_track_m: Four
+
+
+def told(surface_mps: Four, half_track_m: Four, yaw_rate_radps: float, scrub: float) -> Wheels:
+    """Return what the wheels tell; `surface_mps` of each tread, half the track at each wheel."""
+    turning = yaw_rate_radps * scrub
+    a, b, c, d = surface_mps
+    fl, fr, rl, rr = half_track_m
+    return Wheels(
+        surface_mps, (a + turning * fl, b - turning * fr, c + turning * rl, d - turning * rr), half_track_m
+    )
+
+
+def trusted(
+    config: OdometryConfig, wheels: Wheels, speed_mps: float, speed_variance: float, yaw_rate_radps: float
+) -> FourBools:
+    """Tell which wheels agree with the speed that inertia gives, within what either may be off."""
+    spread = hypot(
+        config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps),
+        config.scrub_noise * yaw_rate_radps * wheels.half_track_m[0],
+    )
+    most = config.gate_sigmas * sqrt(spread * spread + speed_variance)
+    a, b, c, d = wheels.told_mps
+    return (
+        abs(a - speed_mps) < most,
+        abs(b - speed_mps) < most,
+        abs(c - speed_mps) < most,
+        abs(d - speed_mps) < most,
+    )
+
+
+def mean_of(told_mps: Four, good: FourBools) -> tuple[float, bool]:
+    """Return the speed that the good wheels tell, and whether both sides are among them (scrub cancels).
+
+    At least one wheel must be good.
+    """
+    left = [told_mps[i] for i in (0, 2) if good[i]]
+    right = [told_mps[i] for i in (1, 3) if good[i]]
+    if left and right:
+        return 0.5 * (sum(left) / len(left) + sum(right) / len(right)), True
+    one = left or right
+    return sum(one) / len(one), False
+
+
+def step(
+    config: OdometryConfig,
+    state: SlipState,
+    wheels: Wheels,
+    good: FourBools,
+    speed_mps: float,
+    speed_sigma_mps: float,
+    yaw_rate_radps: float,
+    dt: float,
+) -> SlipState:
+    """Compute slip ratios and events for a motion, and learn the scrub from wheels that hold."""
+    ratios, slipping, times = [], [], []
+    sure_mps = max(config.event_speed_mps, config.event_sigmas * speed_sigma_mps)
+    for i, side in enumerate(_SIDE):
+        ground = speed_mps - side * yaw_rate_radps * wheels.half_track_m[i]
+        slip_mps = wheels.surface_mps[i] - ground
+        ratio = slip_mps / max(abs(ground), config.least_speed_mps)
+        beyond = abs(ratio) > config.event_ratio and abs(slip_mps) > sure_mps
+        within = abs(ratio) < config.event_over_ratio or abs(slip_mps) < 0.5 * sure_mps
+        was, since = state.slipping[i], state.apart_s[i]
+        changes = within if was else beyond
+        since = since + dt if changes else 0.0
+        if since > (config.event_over_s if was else config.event_s):
+            was, since = not was, 0.0
+        ratios.append(ratio)
+        slipping.append(was)
+        times.append(since)
+    scrub = state.scrub
+    turning = abs(yaw_rate_radps)
+    if turning > config.scrub_least_radps and all(good):
+        a, b, c, d = wheels.surface_mps
+        apart = (b + d - a - c) / sum(wheels.half_track_m)
+        seen = min(max(apart / yaw_rate_radps, 1.0), config.scrub_most)
+        scrub += config.scrub_learning_per_rad * turning * dt * (seen - scrub)
+    return SlipState(scrub, _four(times), _bools(slipping), _four(ratios))
+
+
+def _four(values: list[float]) -> Four:
+    a, b, c, d = values
+    return a, b, c, d
+
+
+def _bools(values: list[bool]) -> FourBools:
+    a, b, c, d = values
+    return a, b, c, d
