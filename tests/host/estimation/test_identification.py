@@ -25,6 +25,7 @@ from tiger.estimation.identification.reduction import (
     modal_blocks,
 )
 from tiger.models.full_car import BODY_ACCELERATION, BODY_RATE, FORCE, ROAD, full_car
+from tiger.models.linear import modes
 from tiger.studies import identification as study
 from tiger.studies import ride_cases
 
@@ -32,6 +33,8 @@ CAR = ride_cases.load_case("table-6-1").car
 PLANT = study.plant(CAR)
 FREQUENCY = np.arange(0.2, 60.0, 0.2)
 TRUTH = PLANT.frequency_response(FREQUENCY)
+POLES_Z = PLANT.poles()
+MODES = modes(2 / study.SAMPLE_S * (POLES_Z - 1) / (POLES_Z + 1))
 
 
 def measured(snr_db: float, seed: int = 0, simultaneous: bool = False):
@@ -56,8 +59,7 @@ def test_maximum_likelihood_meets_its_accuracy_is_stable_and_finds_the_order(
     assert fit.min() >= worst
     assert model.order == 14
     assert np.linalg.eigvals(model.a).real.max() < 0
-    if snr_db >= 20:  # at 10 dB it may have to start again, which takes up to twice as long
-        assert spent <= 3.0
+    assert spent <= 3.0
 
 
 def test_it_has_a_tenth_of_the_error_of_separate_fits_and_beats_vector_fitting(at_20_db) -> None:
@@ -87,17 +89,40 @@ def test_intervals_cover_the_truth() -> None:
     assert 0.85 <= np.mean(share) <= 0.995
 
 
-@pytest.mark.proof
-@pytest.mark.timeout(900)
-def test_order_and_coverage_over_a_hundred_seeds() -> None:
-    orders, share = [], []
-    for seed in range(100):
+def test_records_where_close_modes_used_to_be_lost_are_fitted_to_the_noise() -> None:
+    """Balanced truncation alone leaves a residual of 1.04 to 3 here, and intervals that miss the truth."""
+    for seed in (139, 170):
         model = maximum_likelihood.build(measured(20.0, seed))
+        assert model.order == 14
+        assert fit_percent(model.response(FREQUENCY), TRUTH).min() >= 99.5
+        assert study.coverage(model, FREQUENCY, TRUTH) >= 0.85
+        assert study.mode_coverage(model, MODES) >= 0.85
+
+
+def test_modes_are_paired_by_frequency_and_damping() -> None:
+    exact = np.array([[9.40, 0.269], [9.42, 0.258]])
+    mine, theirs = study.matched(np.array([[9.405, 0.258], [9.41, 0.269]]), exact)
+    assert list(theirs[np.argsort(mine)]) == [1, 0]
+
+
+@pytest.mark.proof
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("snr_db", [40.0, 20.0, 10.0])
+def test_order_and_coverage_over_a_hundred_seeds(snr_db: float) -> None:
+    orders, share, modes_inside, spent = [], [], [], []
+    for seed in range(200, 300):
+        data = measured(snr_db, seed)
+        begin = time.thread_time()
+        model = maximum_likelihood.build(data)
+        spent.append(time.thread_time() - begin)
         orders.append(model.order)
         if model.order == 14:
             share.append(study.coverage(model, FREQUENCY, TRUTH))
+            modes_inside.append(study.mode_coverage(model, MODES))
     assert orders.count(14) >= 95
     assert 0.90 <= np.mean(share) <= 0.97
+    assert 0.90 <= np.mean(modes_inside) <= 0.97
+    assert np.median(spent) <= 3.0
 
 
 def test_thirteen_parameters_are_found_from_a_start_25_percent_off(at_20_db) -> None:
