@@ -154,6 +154,9 @@ class Loads:
     mass_sigma_kg: float = 0.0
     com_m: Three = (0.0, 0.0, 0.0)  # of the whole robot's body, from the empty body's
     com_sigma_m: Three = (0.0, 0.0, 0.0)
+    payload_kg: float = 0.0  # as uncertain as the mass
+    payload_m: Three = (0.0, 0.0, 0.0)  # from the empty body's centre of mass
+    payload_sigma_m: Three = (0.0, 0.0, 0.0)  # 10 where it means nothing
 
 
 @dataclass(frozen=True, slots=True)

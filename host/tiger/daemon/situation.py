@@ -32,8 +32,8 @@ class SituationState:
     """States of the estimators."""
 
     contact: ContactState
+    loads: LoadsState
     odometry: OdometryState = field(default_factory=OdometryState)
-    loads: LoadsState = field(default_factory=LoadsState)
     roughness: RoughnessState = field(default_factory=RoughnessState)
     carried: Loads = field(default_factory=Loads)
     """Loads as last estimated."""
@@ -51,7 +51,7 @@ def design_situation(robot: RobotConfig) -> SituationDesign:
 
 def initial_state(design: SituationDesign) -> SituationState:
     """Return the state before the first tick."""
-    return SituationState(contact.initial_state(design.contact))
+    return SituationState(contact.initial_state(design.contact), wheel_loads.initial_state(design.loads))
 
 
 def step(
@@ -67,7 +67,7 @@ def step(
     loading, loads = wheel_loads.step(design.loads, state.loads, inputs, estimate, dt)
     rolling, rough = roughness.step(design.roughness, state.roughness, inputs, estimate, dt)
     loads = _with_contact(loads, touch)
-    after = SituationState(touching, moving, loading, rolling, loads)
+    after = SituationState(touching, loading, moving, rolling, loads)
     return after, replace(estimate, loads=loads, roughness=rough)
 
 

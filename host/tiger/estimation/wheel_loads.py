@@ -1,42 +1,223 @@
-"""Loads of the four wheels, with the mass and the centre of mass of whatever the robot carries."""
+"""Loads of the four wheels, with the mass and the centre of mass of whatever the robot carries.
+
+Three equations hold on any ground: the forces along the body's z axis and the moments about its x and y axes
+that the body's accelerations ask for. With the specific force f at the body, the angular accelerations, mass
+and first moments of the load (`payload`) and the lever H = sum of mass x height above the ground,
+
+    sum F   = m_body f_z + m_wheels g
+    sum x F = m x f_z - H f_x - I_y q'
+    sum y F = m y f_z - H f_y + I_x p'
+
+The fourth is the twist: ground and strokes together load one diagonal and relieve the other, through spring
+and tyre in series. The ground's share is inferred elsewhere (`contact`). A twist that would pull at a wheel
+takes only what load there is: three wheels carry, and the three equations say how much each.
+
+What wheels do on their springs between bumps is not seen by an IMU on the body: these are the loads of slow
+motion, smoothed over `_SMOOTH_S`.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from tiger.record import Loads
+import numpy as np
+
+from tiger.control import traction
+from tiger.control.reachable import WARP
+from tiger.estimation import payload, tilt_aiding
+from tiger.estimation.payload import Measured, PayloadDesign, PayloadState
+from tiger.estimation.tilt_aiding import AidedTilt
+from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
+from tiger.record import STILL, Loads
 
 if TYPE_CHECKING:
     from tiger.config.robot import RobotConfig
-    from tiger.record import Estimate, Inputs
+    from tiger.estimation.payload import Payload
+    from tiger.record import Estimate, Four, Inputs, Three
+
+_SMOOTH_S = 0.05
+_LONGEST_S = 0.1
+"""Between two samples of the IMU; a longer gap counts as this."""
+_FLAT = AidedTilt()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class LoadsDesign:
     """What `design_loads` computes once."""
 
+    payload: PayloadDesign
     empty: Loads
+    shares: tuple[Three, Three, Three, Three]
+    """Of each wheel: load per unit of the sum of forces, of the moment ahead and of that to the left."""
+    wheels_kg: float
+    inertia_kgm2: tuple[float, float]
+    """Of the empty body, roll and pitch."""
+    corner_npm: float
+    """Spring and tyre in series."""
+    noise_n: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class LoadsState:
     """What a tick leaves to the next."""
+
+    payload: PayloadState
+    load: Payload
+    tilt: AidedTilt = _FLAT
+    force_mps2: Three = (0.0, 0.0, GRAVITY_MPS2)
+    turn_radps2: tuple[float, float] = (0.0, 0.0)
+    current_a: Four = STILL
+    """Last readings, left then right, front then rear."""
+    read: tuple[bool, bool] = (False, False)
+    """Which side's currents were read since they were last used."""
+    imu_t_s: float = -math.inf
+    """Time of the IMU sample last used."""
 
 
 def design_loads(robot: RobotConfig) -> LoadsDesign:
     """Prepare the estimators for one vehicle, empty as the config has it."""
-    from tiger.models.full_car import FullCarParameters
-
-    parameters = FullCarParameters.from_config(robot.vehicle)
-    fl, fr, rl, rr = parameters.static_tire_load_n().tolist()
     vehicle = robot.vehicle
-    unsprung_kg = 2.0 * (vehicle.front.unsprung_mass_kg + vehicle.rear.unsprung_mass_kg)
-    return LoadsDesign(Loads(wheel_load_n=(fl, fr, rl, rr), mass_kg=vehicle.body.mass_kg + unsprung_kg))
+    parameters = FullCarParameters.from_config(vehicle)
+    weights = parameters.static_tire_load_n()
+    fl, fr, rl, rr = weights.tolist()
+    places = np.vstack([np.ones(4), parameters.corner_positions_m().T])
+    # Of all loads with these three sums, the ones nearest to equal: no twist in them.
+    a, b, c, d = ((row[0], row[1], row[2]) for row in np.linalg.pinv(places).tolist())
+    spring, tyre = float(parameters.spring_npm().mean()), parameters.tire_stiffness_npm
+    design = payload.design_payload(robot)
+    return LoadsDesign(
+        payload=design,
+        empty=Loads(wheel_load_n=(fl, fr, rl, rr), mass_kg=design.empty_kg),
+        shares=(a, b, c, d),
+        wheels_kg=float(parameters.wheel_mass_kg().sum()),
+        inertia_kgm2=(parameters.roll_inertia_kgm2, parameters.pitch_inertia_kgm2),
+        corner_npm=spring * tyre / (spring + tyre),
+        noise_n=robot.loads.load_noise_n,
+    )
+
+
+def initial_state(design: LoadsDesign) -> LoadsState:
+    """Return the state before the first tick: an empty robot, more or less."""
+    nothing = payload.initial_state(design.payload)
+    return LoadsState(nothing, payload.payload(design.payload, nothing))
 
 
 def step(
     design: LoadsDesign, state: LoadsState, inputs: Inputs, estimate: Estimate, dt: float
 ) -> tuple[LoadsState, Loads]:
-    """Advance by `dt` seconds; `estimate` has attitude and odometry of this tick."""
-    return state, design.empty
+    """Advance with each new sample of the IMU; `dt` is the time that the first one stands for.
+
+    `estimate` has attitude and odometry of this tick, and the loads of the last one with the ground's warp.
+    """
+    imu, strokes = inputs.imu, inputs.strokes
+    if imu is None or strokes is None:
+        return state, design.empty
+    if imu.t_s <= state.imu_t_s:
+        return state, estimate.loads
+    if state.imu_t_s > -math.inf:
+        dt = min(_LONGEST_S, imu.t_s - state.imu_t_s)
+    force = tilt_aiding.specific_force_mps2(imu)
+    wheels_mps = _wheels_mps(design, inputs)
+    slipping = True in estimate.odometry.slipping
+    bandwidth = design.payload.config.tilt_bandwidth_radps
+    tilt = tilt_aiding.step(state.tilt, force, imu.rate_radps, wheels_mps, slipping, bandwidth, dt)
+    current_a, left_read, right_read = _read(state, inputs)
+    fresh = left_read and right_read
+    fl, fr, rl, rr = (design.payload.suspension.curve.at(stroke)[0] for stroke in strokes.stroke_mm)
+    posed = design.payload.suspension.pose((fl, fr, rl, rr))
+    measured = Measured(
+        roll_rad=tilt.roll_rad - posed.roll_rad,
+        pitch_rad=tilt.pitch_rad - posed.pitch_rad,
+        posed_pitch_rad=posed.pitch_rad,
+        ahead_mps2=force[0],
+        left_mps2=force[1],
+        yaw_rate_radps=imu.rate_radps[2],
+        wheels_mps=wheels_mps,
+        drive_n=sum(traction.measured(inputs)[1]) / design.payload.radius_m if fresh else 0.0,
+        fresh=fresh,
+        gripping=not slipping,
+    )
+    carrying = payload.step(design.payload, state.payload, measured, dt)
+    load = state.load
+    if carrying.mean is not state.payload.mean:
+        load = payload.payload(design.payload, carrying)
+    share = dt / (dt + _SMOOTH_S)
+    (fx, fy, fz), (p, q) = state.force_mps2, state.turn_radps2
+    turn = imu.angular_accel_radps2
+    smooth = fx + share * (force[0] - fx), fy + share * (force[1] - fy), fz + share * (force[2] - fz)
+    turning = p + share * (turn[0] - p), q + share * (turn[1] - q)
+    read = (False, False) if fresh else (left_read, right_read)
+    after = LoadsState(carrying, load, tilt, smooth, turning, current_a, read, imu.t_s)
+    return after, _loads(design, after, estimate.loads, posed.warp_mm)
+
+
+def _wheels_mps(design: LoadsDesign, inputs: Inputs) -> float:
+    """Mean speed of the four wheels' circumference, on the sensors of mega_speed where there are any."""
+    left, right = inputs.wheels_left, inputs.wheels_right
+    if left is None or right is None:
+        return 0.25 * design.payload.radius_m * sum(traction.measured(inputs)[0])
+    return 0.25 * design.payload.radius_m * (sum(left.speed_radps) + sum(right.speed_radps))
+
+
+def _read(state: LoadsState, inputs: Inputs) -> tuple[Four, bool, bool]:
+    """The newest currents, and which side's were read: a new reading differs, if only by its noise."""
+    left, right = inputs.drive_left, inputs.drive_right
+    if left is None or right is None:
+        return STILL, False, False
+    now, before = (*left.motor_current_a, *right.motor_current_a), state.current_a
+    return now, state.read[0] or now[:2] != before[:2], state.read[1] or now[2:] != before[2:]
+
+
+def _loads(design: LoadsDesign, state: LoadsState, known: Loads, stroke_twist_mm: float) -> Loads:
+    load = state.load
+    body_kg = design.payload.body_kg + load.mass_kg
+    twist_m = 0.25 * known.ground_warp_m + 0.001 * stroke_twist_mm
+    sigma = _sigma_n(design, load, 0.25 * known.ground_warp_sigma_m)
+    (x, y, z), (sx, sy, sz) = load.moment_kgm, load.moment_sigma_kgm
+    return Loads(
+        wheel_load_n=_twisted(_three_equations(design, state), design.corner_npm * twist_m),
+        wheel_load_sigma_n=(sigma, sigma, sigma, sigma),
+        hanging=known.hanging,
+        ground_warp_m=known.ground_warp_m,
+        ground_warp_sigma_m=known.ground_warp_sigma_m,
+        mass_kg=design.payload.empty_kg + load.mass_kg,
+        mass_sigma_kg=load.mass_sigma_kg,
+        com_m=(x / body_kg, y / body_kg, z / body_kg),
+        com_sigma_m=(sx / body_kg, sy / body_kg, sz / body_kg),
+        payload_kg=load.mass_kg,
+        payload_m=load.place_m,
+        payload_sigma_m=load.place_sigma_m,
+    )
+
+
+def _three_equations(design: LoadsDesign, state: LoadsState) -> Four:
+    """Loads that carry the body as it moves, without any twist."""
+    fx, fy, fz = state.force_mps2
+    load = state.load
+    x, y, _ = load.moment_kgm
+    lever = load.lever_kgm
+    total = (design.payload.body_kg + load.mass_kg) * fz + design.wheels_kg * GRAVITY_MPS2
+    ahead = x * fz - lever * fx - design.inertia_kgm2[1] * state.turn_radps2[1]
+    left = y * fz - lever * fy + design.inertia_kgm2[0] * state.turn_radps2[0]
+    fl, fr, rl, rr = (a * total + b * ahead + c * left for a, b, c in design.shares)
+    return fl, fr, rl, rr
+
+
+def _twisted(carried: Four, twist_n: float) -> Four:
+    """Load FL and RR by a twist, or as much of it as leaves no wheel pulling."""
+    fl, fr, rl, rr = carried
+    most, least = min(fr, rl), -min(fl, rr)
+    twist = max(least, min(most, twist_n)) if least <= most else 0.5 * (least + most)
+    a, b, c, d = (max(0.0, load + sign * twist) for load, sign in zip(carried, WARP, strict=True))
+    return a, b, c, d
+
+
+def _sigma_n(design: LoadsDesign, load: Payload, twist_sigma_m: float) -> float:
+    """Standard deviation of one wheel's load."""
+    a, b, c = design.shares[0]
+    weight = GRAVITY_MPS2 * a * load.mass_sigma_kg
+    ahead = GRAVITY_MPS2 * b * load.moment_sigma_kgm[0]
+    left = GRAVITY_MPS2 * c * load.moment_sigma_kgm[1]
+    return math.hypot(weight, ahead, left, design.corner_npm * twist_sigma_m, design.noise_n)
