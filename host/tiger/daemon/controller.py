@@ -209,7 +209,7 @@ def _target(design: ControllerDesign, command: Command, known: _Known) -> tuple[
         command = replace(command, roll_rad=roll, pitch_rad=pitch)
     target = mode.target(design, command, known)
     if target is not None and target.unreachable:
-        return target, f"{command.mode}: out of reach, holding the nearest attitude"
+        return target, f"{mode.reason(command, known)}: out of reach, holding the nearest attitude"
     return target, mode.reason(command, known)
 
 
