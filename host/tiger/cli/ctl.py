@@ -105,7 +105,7 @@ def clear(as_json: Json = False) -> None:
 
 @app.command()
 def mode(
-    name: Annotated[str, typer.Argument(metavar="MODE", help="hold, level, pose or stow.")],
+    name: Annotated[str, typer.Argument(metavar="MODE", help="hold, level, balance, pose or stow.")],
     as_json: Json = False,
 ) -> None:
     """Change what the suspension does."""

@@ -24,9 +24,10 @@ from rich.text import Text
 from tiger.record import DaemonState
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from multiprocessing.connection import Connection
 
+    from tiger.daemon.overview import Overview
     from tiger.record import LinkStatus, Record
 
 FRAMES_PER_S = 5.0
@@ -40,24 +41,21 @@ STATE_STYLE = {
 }
 KEYS = "a arm   d disarm   c clear faults   space emergency stop   q quit"
 CORNERS = ("FL", "FR", "RL", "RR")
+J_PER_WH = 3600.0
 
 
-def picture(record: Record, log_lines: list[str], title: str, keys: bool) -> Group:
-    """Everything about one record that a person wants to see."""
+def picture(record: Record, overview: Overview, log_lines: list[str], title: str, keys: bool) -> Group:
+    """Everything about one record that a person wants to see; 80 columns and 24 lines hold it."""
     state = Text.assemble(
         (f" {record.state.name} ", STATE_STYLE[record.state]), f"  {record.reason}; {record.outputs.reason}"
     )
-    parts: list[RenderableType] = [
-        Text(title, style="bold"),
-        state,
-        _body(record),
-        _corners(record),
-        _links(record.links),
-    ]
-    parts += [Text(f"! {problem}", style="red") for problem in record.problems]
-    parts += [Text(line, style="dim") for line in log_lines[-4:]]
+    parts: list[RenderableType] = [Text(title, style="bold")]
     if keys:
         parts.append(Text(KEYS, style="dim"))
+    parts.append(state)
+    parts += [Text(f"! {problem}", style="red") for problem in record.problems]
+    parts += [_body(record), _corners(record, overview), _battery(record, overview), _links(record.links)]
+    parts += [Text(line, style="dim") for line in log_lines[-4:]]
     return Group(*parts)
 
 
@@ -86,7 +84,7 @@ def _with_units(degrees: list[float]) -> Iterator[tuple[float, str]]:
     return zip(degrees, ("", "", "/s", "/s"), strict=True)
 
 
-def _corners(record: Record) -> Table:
+def _corners(record: Record, overview: Overview) -> Table:
     inputs, outputs = record.inputs, record.outputs
     table = Table(box=None, padding=(0, 2))
     for heading in ("", *CORNERS):
@@ -99,30 +97,60 @@ def _corners(record: Record) -> Table:
         radps = (left.speed_radps[0], right.speed_radps[0], left.speed_radps[1], right.speed_radps[1])
         table.add_row("wheel rpm", *(f"{value * 30.0 / math.pi:+.1f}" for value in radps))
         table.add_row("command rpm", *(f"{value:+.1f}" for value in outputs.wheel_rpm))
+    if inputs.drive_left is not None and inputs.drive_right is not None:
+        table.add_row("current A", *(f"{value:+.1f}" for value in overview.current_a))
+        table.add_row("torque Nm", *(f"{value:+.2f}" for value in overview.torque_nm))
+        table.add_row("power W", *(f"{value:+.0f}" for value in overview.power_w))
     return table
 
 
+def _battery(record: Record, overview: Overview) -> Text:
+    """Battery and reach on one line."""
+    parts = []
+    volts = [d.battery_v for d in (record.inputs.drive_left, record.inputs.drive_right) if d is not None]
+    if volts:
+        taken_wh = sum(overview.energy_j) / J_PER_WH
+        parts.append(f"battery {min(volts):.1f} V, {sum(overview.electric_w):.0f} W, {taken_wh:.3g} Wh taken")
+    if overview.reach_used is not None:
+        roll, pitch = (math.degrees(most) for most in overview.reachable_rad)
+        parts.append(f"reach ±{roll:.1f}° roll ±{pitch:.1f}° pitch, {100.0 * overview.reach_used:.0f} % used")
+    return Text("; ".join(parts), no_wrap=True, overflow="ellipsis")
+
+
 def _links(links: tuple[LinkStatus, ...]) -> Table:
-    table = Table(box=None, padding=(0, 1), header_style="dim")
+    """Short headings and short numbers: it must fit into 80 columns after a day."""
+    table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False, header_style="dim")
     for heading in ("device", "state"):
         table.add_column(heading, no_wrap=True)
-    for heading in ("frames", "refused", "lost", "trip ms", "drift ppm", "± µs", "V"):
+    for heading in ("frames", "refused", "lost", "trip ms", "ppm", "± µs", "V"):
         table.add_column(heading, justify="right", no_wrap=True)
     for link in links:
         clock: tuple[str, ...] = ("", "", "")
         if link.clock_sigma_us > 0.0:
-            clock = (f"{link.round_trip_ms:.1f}", f"{link.drift_ppm:+.0f}", f"{link.clock_sigma_us:.0f}")
-        refused = f"{link.rejects}+{link.board_rejects}" if link.board_rejects else str(link.rejects)
+            clock = (
+                f"{link.round_trip_ms:.1f}",
+                f"{link.drift_ppm:+.0f}",
+                _short(round(link.clock_sigma_us)),
+            )
+        refused = _short(link.rejects) + (f"+{_short(link.board_rejects)}" if link.board_rejects else "")
         table.add_row(
             link.name,
             Text(link.state, style="" if link.connected else "red"),
-            str(link.rx_frames),
+            _short(link.rx_frames),
             refused,
-            str(link.seq_gaps),
+            _short(link.seq_gaps),
             *clock,
             f"{link.supply_v:.1f}" if link.supply_v else "",
         )
     return table
+
+
+def _short(count: int) -> str:
+    """A count in five characters at most."""
+    for size, unit in ((1, ""), (1_000, "k"), (1_000_000, "M"), (1_000_000_000, "G")):
+        if count < 10_000 * size:
+            return f"{count // size}{unit}"
+    return "many"
 
 
 class Screen:
@@ -139,9 +167,9 @@ class Screen:
     def __exit__(self, *error: object) -> None:
         self._live.__exit__(None, None, None)
 
-    def show(self, record: Record, log_lines: list[str]) -> None:
+    def show(self, record: Record, overview: Overview, log_lines: list[str]) -> None:
         """Draw a record."""
-        self._live.update(picture(record, log_lines, self._title, keys=False), refresh=True)
+        self._live.update(picture(record, overview, log_lines, self._title, keys=False), refresh=True)
 
 
 class ScreenProcess:
@@ -164,13 +192,13 @@ class ScreenProcess:
         if self._process.is_alive():
             self._process.kill()
 
-    def exchange(self, record: Record, log_lines: list[str]) -> str:
-        """Hand over the newest record if one was asked for; returns the keys that were pressed."""
+    def exchange(self, record: Record, look: Callable[[Record], Overview], log_lines: list[str]) -> str:
+        """Hand over the newest record and its overview if one was asked for; returns the keys pressed."""
         keys = ""
         try:
             while self._pipe.poll():
                 keys += self._pipe.recv()
-                self._pipe.send((record, log_lines))
+                self._pipe.send((record, look(record), log_lines))
         except (OSError, EOFError):  # the screen is gone; the robot goes on
             return ""
         return keys
@@ -188,8 +216,9 @@ def _draw(pipe: Connection, title: str) -> None:
                 return
             if news is None:
                 return
-            record, log_lines = news
-            live.update(picture(record, log_lines, title, keys=keyboard is not None), refresh=True)
+            record, overview, log_lines = news
+            shown = picture(record, overview, log_lines, title, keys=keyboard is not None)
+            live.update(shown, refresh=True)
             keys = _pressed(keyboard, 1.0 / FRAMES_PER_S)
 
 

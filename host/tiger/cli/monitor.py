@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pydantic import TypeAdapter
     from rich.console import RenderableType
 
-    from tiger.record import Record
+    from tiger.daemon.api_messages import Status
 
 RETRY_S = 1.0
 
@@ -65,15 +65,15 @@ def page(status: dict[str, Any]) -> RenderableType:
     """Draw one status; the same picture as that of `tiger run`."""
     from tiger.cli.live import picture
 
-    record = _record_model().validate_python(status["record"])
-    helm = status["helm"] or "free"
-    return picture(record, status["log_lines"], f"TIGER; helm: {helm}", keys=False)
+    read = _model().validate_python(status)
+    title = f"TIGER; helm: {read.helm or 'free'}"
+    return picture(read.record, read.overview, read.log_lines, title, keys=False)
 
 
 @functools.cache
-def _record_model() -> TypeAdapter[Record]:
+def _model() -> TypeAdapter[Status]:
     from pydantic import TypeAdapter
 
-    from tiger.record import Record
+    from tiger.daemon.api_messages import Status
 
-    return TypeAdapter(Record)
+    return TypeAdapter(Status)

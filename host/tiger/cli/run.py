@@ -14,9 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from tiger.config.robot import RobotConfig
     from tiger.daemon.clock import Clock, Lateness
     from tiger.daemon.daemon import Daemon
+    from tiger.daemon.overview import Overview
     from tiger.devices.ports import PortProvider
     from tiger.emulation.scenarios import Scenario
     from tiger.logs.session import LogSession
@@ -66,6 +69,7 @@ class Journal:
     last: Record | None = None
     last_time_s: float = 0.0
     log: dict[str, Any] | None = None
+    drive: dict[str, Any] | None = None
 
     def add(self, record: Record, time_s: float, truth_deg: tuple[float, float] | None, keep: bool) -> None:
         """Take one tick; `truth_deg` is the true roll and pitch where someone knows them."""
@@ -132,6 +136,7 @@ class Journal:
                 for link in (last.links if last else ())
             },
             "lateness_us": lateness.summary() if lateness else None,
+            "drive": self.drive,
             "log": self.log,
         }
 
@@ -317,6 +322,28 @@ class _Log:
         }
 
 
+def _overseer(robot: RobotConfig, daemon: Daemon) -> Callable[[Record], Overview]:
+    """What makes the overview of a record for the screen."""
+    from tiger.control.reachable import Suspension
+    from tiger.daemon.overview import overview
+
+    suspension = Suspension.from_config(robot)
+    return lambda record: overview(record, daemon.energy, suspension)
+
+
+def _drive_figures(daemon: Daemon) -> dict[str, Any] | None:
+    """What the wheels' motors took, FL FR RL RR; None for a robot that only levels."""
+    if not daemon.drives:
+        return None
+    energy = daemon.energy
+    return {
+        "energy_j": list(energy.energy_j),
+        "largest_power_w": list(energy.largest_w),
+        "largest_current_a": list(energy.largest_a),
+        "lowest_battery_v": energy.lowest_v,
+    }
+
+
 class _Socket:
     """The socket for other programs, or nothing where it cannot be had: the robot runs without it."""
 
@@ -372,6 +399,7 @@ def _run_virtual(robot: RobotConfig, scenario_name: str, seed: int, wishes: Wish
     if wishes.log_folder is not None:
         rig.daemon = Daemon(rig.config, log.tap(rig.ports), rig.clock, nonce=seed + 1)
     journal, driver, printer = Journal(), _Driver(rig.daemon, wishes), _Printer()
+    look = _overseer(robot, rig.daemon)
     every = max(round(robot.loop.rate_hz / SERIES_HZ), 1)
     duration_s = wishes.duration_s if wishes.duration_s is not None else scenario.duration_s
     drawn_s = -math.inf
@@ -387,9 +415,9 @@ def _run_virtual(robot: RobotConfig, scenario_name: str, seed: int, wishes: Wish
                 printer.show(record, rig.time_s)
             elif time.monotonic() - drawn_s > 1.0 / FRAMES_PER_S:
                 drawn_s = time.monotonic()
-                screen.show(record, rig.daemon.log_lines)
+                screen.show(record, look(record), rig.daemon.log_lines)
     rig.daemon.close()
-    journal.log = log.summary()
+    journal.log, journal.drive = log.summary(), _drive_figures(rig.daemon)
     return journal, None
 
 
@@ -451,6 +479,7 @@ def _run_real_time(
     if emulated is not None and scenario is not None:
         planned = PlannedDrive(scenario, daemon, emulated.pose)
     programs = _Socket(robot, wishes)
+    look = _overseer(robot, daemon)
     every = max(round(robot.loop.rate_hz / SERIES_HZ), 1)
     draw_every = max(round(robot.loop.rate_hz / 50.0), 1)
     with log, ScreenProcess(title) if is_terminal() else nullcontext() as screen:
@@ -472,7 +501,7 @@ def _run_real_time(
             if screen is None:
                 printer.show(record, journal.last_time_s)
             elif record.tick % draw_every == 0:
-                return driver.press(screen.exchange(record, daemon.log_lines)) and not stop_asked
+                return driver.press(screen.exchange(record, look, daemon.log_lines)) and not stop_asked
             return not stop_asked
 
         if emulated is not None:
@@ -483,5 +512,5 @@ def _run_real_time(
             programs.close(daemon)
             daemon.close()
     sys.stdout.flush()
-    journal.log = log.summary()
+    journal.log, journal.drive = log.summary(), _drive_figures(daemon)
     return journal, lateness

@@ -52,6 +52,7 @@ from tiger.daemon.api_messages import (
     SubscribeRequest,
 )
 from tiger.daemon.client import socket_path
+from tiger.daemon.overview import overview
 from tiger.record import DaemonState, Mode
 
 if TYPE_CHECKING:
@@ -210,7 +211,12 @@ class Desk:
         """Return everything that is known now."""
         lines = [*daemon.log_lines, *self.notes]
         return Status(
-            state=record.state.name, reason=record.reason, helm=self.helm, log_lines=lines, record=record
+            state=record.state.name,
+            reason=record.reason,
+            helm=self.helm,
+            log_lines=lines,
+            record=record,
+            overview=overview(record, daemon.energy, self._suspension),
         )
 
     def _find_limits(self) -> dict[str, tuple[float, float]]:
@@ -308,8 +314,8 @@ class Desk:
             nearest = f"roll {math.degrees(roll):.2f} and pitch {math.degrees(pitch):.2f} degrees"
             if self._robot.leveling.out_of_reach == "refuse":
                 reason = f"the strokes do not reach this attitude; the nearest is {nearest}"
-                return Refusal(id=request.id, reason=reason, next_step="Ask for less.")
-            text = f"mode pose, clipped to what the strokes reach: {nearest}"
+                return Refusal(id=request.id, reason=reason, next_step=f"Ask for less: {self._reach}.")
+            text = f"mode pose, clipped to what the strokes reach: {nearest} ({self._reach})"
         elif self._ride_gives_way(roll, pitch, request.ride_stroke_mm):
             text = "mode pose; the ride height gives way to the attitude"
         daemon.command = replace(
@@ -320,6 +326,12 @@ class Desk:
             ride_stroke_mm=ride_mm,
         )
         return Accepted(id=request.id, text=text)
+
+    @property
+    def _reach(self) -> str:
+        """The reachable set in words."""
+        roll, pitch = (math.degrees(most) for most in self._suspension.limits())
+        return f"|roll|/{roll:.1f} + |pitch|/{pitch:.1f} up to 1, in degrees"
 
     def _ride_gives_way(self, roll_rad: float, pitch_rad: float, stroke_mm: float | None) -> bool:
         if stroke_mm is None:

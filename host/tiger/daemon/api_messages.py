@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
+from tiger.daemon.overview import Overview
 from tiger.record import Mode, Record
 
 MAX_TELEMETRY_HZ = 20.0
@@ -120,6 +121,9 @@ class Status(BaseModel):
     helm: str | None = Field(description="who may move the robot; null: whoever asks first")
     log_lines: list[str] = Field(description="what boards and clients did lately")
     record: Record = Field(description="the latest tick: what was measured, estimated and commanded")
+    overview: Overview = Field(
+        description="power and energy of the drive, and how far the strokes still reach"
+    )
 
 
 class Accepted(BaseModel):

@@ -18,6 +18,7 @@ from tiger.daemon.controller import ControllerState, design_controller, initial_
 from tiger.daemon.controller import step as control
 from tiger.daemon.discovery import Boards, Role, role_name
 from tiger.daemon.drives import Drive
+from tiger.daemon.overview import DriveEnergy
 from tiger.daemon.rest_calibration import RestCalibration, bias_messages
 from tiger.daemon.supervisor import Facts
 from tiger.daemon.wheel_check import WheelCheck
@@ -107,6 +108,7 @@ class Daemon:
         self.boards = Boards(ports, robot.ports, needed, nonce, now_s)
         paths = {"left": robot.ports.roboteq_left, "right": robot.ports.roboteq_right}
         self.drives = [Drive(side, path, ports, robot) for side, path in paths.items() if robot.drive.enabled]
+        self.energy = DriveEnergy()
         self._rest = limits.RestCheck(robot.safety)
         self._resets: list[Problem] = []  # of boards, while armed
         self._calibration = RestCalibration()
@@ -192,6 +194,7 @@ class Daemon:
         for event in self.boards.poll(now_s):
             self._on(event)
         inputs = self._inputs(now_s)
+        self.energy.add(inputs)
         facts = self._facts(inputs, now_s)
         state, reason = supervisor.step(self.state, facts)
         if reason is not None:

@@ -38,6 +38,7 @@ from tiger.daemon.api import (
 )
 from tiger.daemon.api_messages import REQUEST, DriveRequest, Refusal, StatusReply, Telemetry
 from tiger.daemon.client import Refused, Robot, socket_path
+from tiger.daemon.overview import DriveEnergy
 from tiger.emulation.scenarios import load_scenario
 from tiger.record import STILL, Command, DaemonState, Inputs, Mode, Outputs, Record
 from tiger.rig.virtual import Rig
@@ -87,7 +88,7 @@ def test_a_request_in_pieces_is_one_request(cut: int) -> None:
         (b'{"id": 1, "do": "drive", "speed_mps": Infinity}', "speed_mps: Input should be a finite number"),
         (b'{"id": 1, "do": "drive", "speed_mps": 1e999}', "speed_mps: Input should be a finite number"),
         (b'{"id": 1, "do": "drive", "speed_mps": 0, "sped": 1}', "sped: Extra inputs are not permitted"),
-        (b'{"id": 1, "do": "mode", "mode": "jump"}', "mode: Input should be 'hold', 'level', 'pose' or 'st"),
+        (b'{"id": 1, "do": "mode", "mode": "jump"}', "mode: Input should be 'hold', 'level', "),
         (b'{"id": 1, "do": "subscribe", "rate_hz": 21}', "rate_hz: Input should be less than or equal to 20"),
     ],
 )
@@ -194,6 +195,7 @@ class Asked:
             reason="armed",
             latched=(),
             log_lines=[],
+            energy=DriveEnergy(),
             command=Command(),
             **{word: lambda word=word: tell(word) for word in ("arm", "disarm", "estop", "clear")},
         )
@@ -245,6 +247,8 @@ def test_a_pose_beyond_the_strokes_is_clipped_or_refused_as_the_config_says() ->
     assert "clipped to what the strokes reach: roll" in accepted.text
     assert 0.0 < clip.daemon.command.roll_rad < corner["roll_rad"]
     assert "the strokes do not reach this attitude" in refused.reason
+    assert "|roll|/6.3 + |pitch|/7.6 up to 1" in accepted.text
+    assert "|roll|/6.3 + |pitch|/7.6 up to 1" in refused.next_step
     assert refuse.daemon.command == Command()
 
 

@@ -179,9 +179,9 @@ class Ordeal:
         """Feed byte by byte, so that every completed exchange is seen."""
         driver = self.driver
         for byte in data:
-            exchange, completed = driver._exchange, driver.exchanges
+            exchange, completed, changed = driver._exchange, driver.exchanges, driver.changed_commands
             driver.feed(bytes((byte,)), now_s)
-            if exchange is None or driver.exchanges == completed:
+            if exchange is None or driver.exchanges == completed or driver.changed_commands > changed:
                 continue
             self.tally.worst_ms = max(self.tally.worst_ms, 1e3 * (now_s - exchange.sent_s))
             self._check(exchange.lines[0], lost_power=exchange.sent_s <= self._rebooted_s)

@@ -1,0 +1,118 @@
+"""The picture of a run: everything in it can be read on a terminal of 80 columns and 24 lines."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from tiger.cli.live import _short, picture
+from tiger.daemon.overview import Overview
+from tiger.record import (
+    DaemonState,
+    DriveSample,
+    Estimate,
+    Inputs,
+    LinkStatus,
+    Outputs,
+    Problem,
+    ProblemKind,
+    Record,
+    StrokeSample,
+    WheelSample,
+)
+
+# A robot after a long day: every number is as long as it gets.
+BOARD = LinkStatus(
+    "mega_speed (right)", "disarmed", True, 98_765_432, 4321, 0, 12_345, 12.3, 1877.0, -1092.0, supply_v=5.04
+)
+DRIVE = LinkStatus("roboteq (right)", "configuring", True, 45_678_901, 9999, 12, 3456, supply_v=24.13)
+WHEELS = WheelSample(0.0, (0, 0), (-41.8, -41.8), 0)
+SAMPLE = DriveSample(0.0, (-399.0, -399.0), (-29.9, -29.9), (9.9, 9.9), 24.0, 61.0, 0, 0)
+RECORD = Record(
+    tick=1,
+    state=DaemonState.ARMED,
+    reason="armed",
+    inputs=Inputs(
+        0.0,
+        armed=True,
+        strokes=StrokeSample(0.0, (68.25,) * 4, (-9.41,) * 4, (-1000,) * 4, 0),
+        wheels_left=WHEELS,
+        wheels_right=WHEELS,
+        drive_left=SAMPLE,
+        drive_right=SAMPLE,
+    ),
+    outputs=Outputs(
+        (-9.41,) * 4, (-399.5,) * 4, Estimate(ready=True, roll_rad=-0.4, pitch_rad=-0.4), "level"
+    ),
+    links=(
+        replace(BOARD, name="mega_suspension", state="emergency"),
+        replace(BOARD, name="nano_imu"),
+        replace(BOARD, name="mega_speed (left)"),
+        BOARD,
+        replace(DRIVE, name="roboteq (left)"),
+        DRIVE,
+    ),
+)
+OVERVIEW = Overview(
+    (-29.9,) * 4, (-16.87,) * 4, (-349.0,) * 4, (350.0,) * 4, (99_900.0,) * 4, 0.87, (0.11, 0.133)
+)
+
+
+def lines(record: Record, width: int = 80) -> list[str]:
+    console = Console(width=width, file=io.StringIO())
+    with console.capture() as capture:
+        console.print(picture(record, OVERVIEW, ["one", "two"], "TIGER, emulated", keys=True))
+    return capture.get().splitlines()
+
+
+def test_nothing_is_cut_at_80_columns() -> None:
+    drawn = lines(RECORD)
+    assert not any("…" in line for line in drawn)
+    assert all(len(line) <= 80 for line in drawn)
+
+
+def test_the_links_of_a_whole_robot_are_on_a_screen_of_24_lines() -> None:
+    drawn = lines(RECORD)
+    assert len(drawn) - 2 <= 24  # the last lines of the boards' log may be below
+
+
+def test_every_link_is_told_with_its_health() -> None:
+    (line,) = [line for line in lines(RECORD) if line.startswith("mega_speed (right)")]
+    assert line.split() == [
+        "mega_speed",
+        "(right)",
+        "disarmed",
+        "98M",
+        "4321",
+        "12k",
+        "12.3",
+        "-1092",
+        "1877",
+        "5.0",
+    ]
+    (line,) = [line for line in lines(RECORD) if line.startswith("roboteq (right)")]
+    assert line.split() == ["roboteq", "(right)", "configuring", "45M", "9999+12", "3456", "24.1"]
+
+
+def test_battery_and_reach_are_told() -> None:
+    (line,) = [line for line in lines(RECORD) if line.startswith("battery")]
+    assert line.startswith("battery 24.0 V, 1400 W, 111 Wh taken; reach ±6.3° roll")
+    assert "87 %" in line
+
+
+def test_problems_come_before_everything_that_may_be_below_the_screen() -> None:
+    problem = Problem(ProblemKind.FAULT, "roboteq (left) on /dev/left", "undervoltage", "Charge the battery.")
+    drawn = lines(replace(RECORD, problems=(problem,)))
+    (place,) = [k for k, line in enumerate(drawn) if line.startswith("! roboteq")]
+    assert place <= 3
+
+
+@pytest.mark.parametrize(
+    ("count", "text"),
+    [(0, "0"), (9_999, "9999"), (10_000, "10k"), (9_999_999, "9999k"), (10_000_000, "10M"), (10**13, "many")],
+)
+def test_counts_are_short(count: int, text: str) -> None:
+    assert _short(count) == text
