@@ -25,6 +25,7 @@ STUDIES = {
     "observer": "Observer with wrong initial state and IMU offset (Figures 6.12, 6.13)",
     "table-6-2": "Ride, road holding and rattle space against Table 6.2 (Figures 6.10, 6.14, 6.15)",
     "speed-sweep": "Passive and active from 15 to 50 m/s (Figure 6.16)",
+    "force-limits": "Bumpy road with weak actuators: regulator beside predictive controller",
     "monte-carlo": "Robustness over seeds, roads, mass, springs, COM and delay",
     "shaking-plate": "The robot levels itself on the shaking plate (Figures 4.10, 4.11)",
 }
