@@ -63,6 +63,7 @@ SETTINGS = {
 }
 
 
+_ECHOED = re.compile(rb"[\x20-\x7e\r]+")
 _INTEGER = re.compile(r"[+-]?[0-9]{1,9}")
 
 
@@ -95,34 +96,38 @@ class Roboteq:
         self._watchdog_due_ns: int | None = None
         self._watchdog_expired = False
         self._emergency = False
-        self._line = bytearray()
-        self._incoming: deque[tuple[int, int]] = deque()  # (time of the stop bit in ns, byte)
-        self._outgoing: deque[tuple[int, int]] = deque()
+        self._line = b""
+        # Bytes one after the other on the wire: time of the first one's stop bit in ns, and all of them.
+        self._incoming: deque[tuple[int, bytes]] = deque()
+        self._outgoing: deque[tuple[int, bytes]] = deque()
         self._last_in_ns = self._last_out_ns = self._now_ns
 
     # ---- the serial line
 
     def receive(self, data: bytes) -> None:
         """Put bytes on the wire to the controller; they arrive at the baud rate."""
-        for byte in b"" if self.deaf else data:
-            self._last_in_ns = max(self._last_in_ns, self._now_ns) + BYTE_NS
-            self._incoming.append((self._last_in_ns, byte))
+        if data and not self.deaf:
+            self._last_in_ns = _queue(self._incoming, data, max(self._last_in_ns, self._now_ns))
 
     def transmit(self) -> bytes:
         """Take the bytes whose stop bit has left by now."""
-        out = bytearray()
+        out = b""
         while self._outgoing and self._outgoing[0][0] <= self._now_ns:
-            out.append(self._outgoing.popleft()[1])
-        return self._line_out.carry(bytes(out))
+            first_ns, data = self._outgoing.popleft()
+            gone = (self._now_ns - first_ns) // BYTE_NS + 1
+            out += data[:gone]
+            if gone < len(data):
+                self._outgoing.appendleft((first_ns + gone * BYTE_NS, data[gone:]))
+        return self._line_out.carry(out)
 
     def say(self, text: str) -> None:
         """Send a line, as an answer or unasked."""
-        self._send(text.encode("ascii") + b"\r")
+        self._send(text.encode("ascii") + b"\r", self._now_ns)
 
-    def _send(self, data: bytes) -> None:
-        for byte in b"" if self.silent else data:
-            self._last_out_ns = max(self._last_out_ns, self._now_ns) + BYTE_NS
-            self._outgoing.append((self._last_out_ns, byte))
+    def _send(self, data: bytes, ready_ns: int) -> None:
+        """Send bytes; the first is ready then, each of the others when the one before has left."""
+        if not self.silent:
+            self._last_out_ns = _queue(self._outgoing, data, max(self._last_out_ns, ready_ns))
 
     # ---- time
 
@@ -130,9 +135,13 @@ class Roboteq:
         """Let `us` microseconds pass."""
         end_ns = self._now_ns + us * 1000
         while self._incoming and self._incoming[0][0] <= end_ns:
-            time_ns, byte = self._incoming.popleft()
-            self._advance(time_ns)
-            self._hear(byte)
+            first_ns, data = self._incoming.popleft()
+            n = min((end_ns - first_ns) // BYTE_NS + 1, len(data))
+            n = data.find(b"\r", 0, n) + 1 or n  # a line at a time
+            if n < len(data):
+                self._incoming.appendleft((first_ns + n * BYTE_NS, data[n:]))
+            self._advance(first_ns + (n - 1) * BYTE_NS)
+            self._hear(data[:n], first_ns)
         self._advance(end_ns)
 
     def _advance(self, to_ns: int) -> None:
@@ -190,17 +199,17 @@ class Roboteq:
 
     # ---- the language
 
-    def _hear(self, byte: int) -> None:
-        printable = 0x20 <= byte <= 0x7E
-        if not self._settings["ECHOF"][0] and (printable or byte == 0x0D):
-            self._send(bytes([byte]))
-        if byte == 0x0A:
+    def _hear(self, data: bytes, first_ns: int) -> None:
+        """Take bytes of one line, up to its end if that is among them."""
+        if not self._settings["ECHOF"][0]:
+            for echoed in _ECHOED.finditer(data):
+                self._send(echoed[0], first_ns + echoed.start() * BYTE_NS)
+        line = self._line + data.replace(b"\n", b"")
+        if not line.endswith(b"\r"):
+            self._line = line[: LINE_LIMIT + 1]  # one more marks the overflow
             return
-        if byte != 0x0D:
-            if len(self._line) <= LINE_LIMIT:  # one more marks the overflow
-                self._line.append(byte)
-            return
-        line, self._line = bytes(self._line), bytearray()
+        self._line = b""
+        line = line[:-1]
         if not line.strip():
             return
         try:
@@ -327,6 +336,12 @@ class Roboteq:
             raise Refused
         self._saved = {key: list(values) for key, values in self._settings.items()}
         return "+"
+
+
+def _queue(wire: deque[tuple[int, bytes]], data: bytes, after_ns: int) -> int:
+    """Put bytes on a wire that is free from a time on; return when the last one's stop bit is over."""
+    wire.append((after_ns + BYTE_NS, data))
+    return after_ns + len(data) * BYTE_NS
 
 
 def _integer(word: str) -> int:
