@@ -235,7 +235,12 @@ def _agreed(name: str, answers: list[tuple[int, ...]]) -> tuple[int, ...] | None
 
 
 def _two_of_three(a: int, b: int, c: int, within: int) -> int | None:
-    """What two say alike; of a value on the move the middle one, so that a damaged digit is outvoted."""
+    """What two say alike; of a value on the move the middle one, so that a damaged digit is outvoted.
+
+    Flags, which do not move, must be alike in all three: a wrong one would stop the robot.
+    """
+    if not within:
+        return a if a == b == c else None
     if b in (a, c):
         return b
     if a == c:
