@@ -165,6 +165,8 @@ class StabilityConfig(_Section):
     crawl_mps: Positive
     foresight_s: Positive
     trend_s: Positive
+    load_sigma_kg: Positive
+    load_sigma_m: Positive
     smooth_s: Positive
     upright_s: Positive
     slope_s: Positive

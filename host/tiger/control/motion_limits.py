@@ -2,9 +2,10 @@
 
 It asks what the command would do once carried out, not what has happened. Driving at v and r on a slope the
 ground pushes with f = (a_x - g_x, v r - g_y, g_n) in its plane, per unit mass. The centre of pressure moves
-by h f/g_n, and because the springs let the body lean and gravity leans on it, by 1/(1 - c g_n) as much, c the
-sway of `tip_over.Stance`. Setting that to `load_transfer_max` of the way to an edge bounds lateral and
-longitudinal acceleration. Where the tyres would slide first there is no bound.
+by h f/g_n, and because the springs let the body lean over the wheels' centres (radius w) and gravity leans on
+it, by 1/(1 - m g_n (h - w)/K) as much, K the springs' stiffness against the lean. Setting that to
+`load_transfer_max` of the way to an edge bounds lateral and longitudinal acceleration. Where the tyres would
+slide first there is no bound.
 
 - *Curvature.* |v r| within the bound: the speed goes to where the commanded path can be driven, and until it
   is there the yaw rate is what the present speed allows.
@@ -130,22 +131,23 @@ _OUTWARD = {LEFT: (1, 1.0), RIGHT: (1, -1.0), FRONT: (0, 1.0), REAR: (0, -1.0)}
 def footing(stance: Stance, plane_rad: tuple[float, float], friction: float) -> Footing:
     """Return what a ground of slope `plane_rad` (roll, pitch) leaves to the body as its strokes lean it.
 
-    The centre of pressure is (h f/g_n + h lean + offset)/(1 - c g_n) from the middle. Leaning moves the COM
-    by its height times the angle: to the right with roll, forward with pitch.
+    The centre of pressure is (h f/g_n + (h - w) lean + offset)/(1 - m g_n (h - w)/K) from the middle. Leaning
+    moves the COM over the wheels' centres: to the right with roll, forward with pitch.
     """
     roll, pitch = plane_rad
     normal = GRAVITY_MPS2 * cos(roll) * cos(pitch)
     per_m = normal / stance.height_m
-    rigid_x = max(1.0 - stance.pitch_sway_s2pm * normal, LEAST_RIGIDITY)
-    rigid_y = max(1.0 - stance.roll_sway_s2pm * normal, LEAST_RIGIDITY)
+    over_hubs = 1.0 - stance.wheel_radius_m / stance.height_m
+    rigid_x = max(1.0 - over_hubs * stance.pitch_sway_s2pm * normal, LEAST_RIGIDITY)
+    rigid_y = max(1.0 - over_hubs * stance.roll_sway_s2pm * normal, LEAST_RIGIDITY)
     left, right, front, rear = stance.reach_m
     lean_roll, lean_pitch = stance.strokes_rad
     return Footing(
         to_edge_mps2=(0.5 * (front + rear) * rigid_x * per_m, 0.5 * (left + right) * rigid_y * per_m),
         slope_mps2=(GRAVITY_MPS2 * sin(pitch), -GRAVITY_MPS2 * sin(roll)),
         offset_mps2=(
-            0.5 * (rear - front) * per_m + lean_pitch * normal,
-            0.5 * (right - left) * per_m - lean_roll * normal,
+            0.5 * (rear - front) * per_m + over_hubs * lean_pitch * normal,
+            0.5 * (right - left) * per_m - over_hubs * lean_roll * normal,
         ),
         grip_mps2=friction * normal,
     )

@@ -24,6 +24,7 @@ from tiger.record import LimitCause, Stability
 if TYPE_CHECKING:
     from tiger.config.robot import RobotConfig, StabilityConfig
     from tiger.control.drive import DriveDesign
+    from tiger.control.tip_over import Contacts
     from tiger.models.eam import LiftCurve
     from tiger.record import Command, Estimate, Four, ImuSample, Inputs, Loads, Three
 
@@ -173,8 +174,9 @@ def _sampled(
     upright, speed = state.upright_mps2, state.speed_mps
     if is_new:
         felt = tip_over.at_com(stance, _felt(imu), imu.rate_radps, imu.angular_accel_radps2)
-        tripping = trip.step(config, tripping, felt[0], felt[1], dt)
         speed = estimate.odometry.speed_mps
+        across, driving = felt[1] - speed * imu.rate_radps[2], design.limiter.acceleration_mps2
+        tripping = trip.step(config, tripping, felt[0], across, driving, dt)
         if state.imu_t_s == -inf:
             upright = felt
         else:
@@ -184,11 +186,13 @@ def _sampled(
         force = _towards3(force, felt, smooth)
         turn = _towards2(turn, imu.angular_accel_radps2[:2], smooth)
         rate = _towards2(rate, imu.rate_radps[:2], smooth)
-        lean, leans = _spring_lean(stance, force), stance.strokes_rad
+    by_springs, by_strokes = tip_over.spring_lean(stance, force), stance.strokes_rad
+    lean = by_springs[0] + by_strokes[0], by_springs[1] + by_strokes[1]
+    if is_new:
         roll, pitch = atan2(upright[1], upright[2]), atan2(-upright[0], upright[2])
-        ground = roll - leans[0] - lean[0], pitch - leans[1] - lean[1]
+        ground = roll - lean[0], pitch - lean[1]
         plane = _towards2(plane, ground, 1.0 - exp(-dt / config.slope_s))
-    shown = _margins(stance, force, turn, rate, upright)
+    shown = _margins(stance, tip_over.contacts(stance, lean), force, turn, rate, upright)
     limiter, allowed = state.limiter, Allowed(*asked)
     if config.limiter != "off":
         footing = motion_limits.footing(stance, plane, config.friction_max)
@@ -229,13 +233,19 @@ def _sampled(
 def stance_of(design: StabilityDesign, loads: Loads, stroke_mm: Four) -> Stance:
     """Return COM and support polygon with the present load on the present strokes.
 
-    The load sags the springs, the strokes lift the body and move the wheels sideways as the mechanism does.
+    The load sags the springs, the strokes lift the body and move the wheels sideways as the mechanism does. What
+    the estimator is not sure of yet is not taken up, nor is a COM lower than the vehicle's file has it.
     """
-    wheels = design.wheels_mass_kg
-    mass = loads.mass_kg or design.body_mass_kg + wheels
-    body = mass - wheels
-    more = max(0.0, body - design.body_mass_kg)
-    com_x, com_y, com_z = loads.com_m
+    config, wheels = design.config, design.wheels_mass_kg
+    more = max(0.0, loads.mass_kg - wheels - design.body_mass_kg)
+    more *= _trust(loads.mass_sigma_kg, config.load_sigma_kg)
+    body = design.body_mass_kg + more
+    mass = body + wheels
+    com_x, com_y, com_z = com = tuple(
+        place * _trust(sigma, config.load_sigma_m)
+        for place, sigma in zip(loads.com_m, loads.com_sigma_m, strict=True)
+    )
+    com_z = max(0.0, com_z)
     lift = [(design.curve.at(stroke)[0] - design.mid_lift_mm) * 1e-3 for stroke in stroke_mm]
     fl, fr, rl, rr = lift
     sag = more * GRAVITY_MPS2 / (4.0 * design.spring_npm)
@@ -250,7 +260,7 @@ def stance_of(design: StabilityDesign, loads: Loads, stroke_mm: Four) -> Stance:
     left, right = 0.5 * (tracks[0] + tracks[2]), 0.5 * (tracks[1] + tracks[3])
     above = ride + com_z - height  # body's COM over that of everything
     below = height - design.wheel_height_m
-    load2 = sum(place * place for place in loads.com_m) * body * body / more if more > 1.0 else 0.0
+    load2 = sum(place * place for place in com) * body * body / more if more > 1.0 else 0.0
     roll = design.inertia_kgm2[0] + load2 + body * above * above + wheels * below * below
     pitch = design.inertia_kgm2[1] + load2 + body * above * above + wheels * below * below
     wide, long = 0.5 * (left + right), 0.5 * (design.front_m + design.rear_m)
@@ -264,6 +274,7 @@ def stance_of(design: StabilityDesign, loads: Loads, stroke_mm: Four) -> Stance:
         pitch_tip_gyration_m2=(pitch + wheels * long * long) / mass,
         roll_sway_s2pm=mass * height / (4.0 * design.spring_npm * wide * wide),
         pitch_sway_s2pm=mass * height / (4.0 * design.spring_npm * long * long),
+        wheel_radius_m=design.wheel_height_m,
         imu_m=(imu_x - x, imu_y - y, imu_z + ride - height),
         strokes_rad=(
             (fl - fr + rl - rr) / (2.0 * (left + right)),
@@ -272,29 +283,29 @@ def stance_of(design: StabilityDesign, loads: Loads, stroke_mm: Four) -> Stance:
     )
 
 
-def _spring_lean(stance: Stance, force: Three) -> tuple[float, float]:
-    """Roll and pitch of the body on its springs under a specific force, up to where wheels lift."""
-    _, side, _, ahead = (depth - stance.height_m for depth in tip_over.edge_depths(stance, force))
-    left, right, front, rear = stance.reach_m
-    return -2.0 * side / (left + right), 2.0 * ahead / (front + rear)
+def _trust(sigma: float, trusted: float) -> float:
+    """1 up to a standard deviation of `trusted`, 0 from twice that on."""
+    return min(1.0, max(0.0, 2.0 - sigma / trusted))
 
 
 # ---- margins --------------------------------------------------
 
 
 def _margins(
-    stance: Stance, force: Three, turn: tuple[float, float], rate: tuple[float, float], upright: Three
+    stance: Stance,
+    places: Contacts,
+    force: Three,
+    turn: tuple[float, float],
+    rate: tuple[float, float],
+    upright: Three,
 ) -> Stability:
     """Margin, load transfer and time to the balance point, of the edge that is nearest."""
-    turning = (turn[0], turn[1], 0.0)
-    lateral, longitudinal = tip_over.load_transfer(stance, force, turning)
-    pushes, moments = tip_over.outward(stance, force, turning)
+    lateral, longitudinal = tip_over.load_transfer(stance, places, force, turn)
+    pushes, moments = tip_over.outward(stance, force, turn)
     downhill = (-upright[1], upright[1], -upright[0], upright[0])
     towards = (-rate[0], rate[0], rate[1], -rate[1])
-    depths = tip_over.edge_depths(stance, force)
     least, edge, soonest = inf, 0, NEVER_S
-    for k, reach in enumerate(stance.reach_m):
-        depth = depths[k]
+    for k, (reach, depth) in enumerate(places):
         net, energy = tip_over.force_angle(reach, depth, pushes[k], moments[k], force[2])
         if energy < least:
             least, edge = energy, k

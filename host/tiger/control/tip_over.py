@@ -18,7 +18,7 @@ are left, right, front, rear. Forces are per unit mass (m/s2), energies per unit
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, copysign, hypot, inf, sqrt
+from math import atan2, copysign, cos, hypot, inf, sin, sqrt, tan
 from math import log as ln
 from typing import TYPE_CHECKING
 
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from tiger.record import Three
 
 Edges = tuple[float, float, float, float]
+Contacts = tuple[tuple[float, float], tuple[float, float], tuple[float, float], tuple[float, float]]
+"""How far outward and how far below the COM each edge lies, in the body's axes (m)."""
+
 LEFT, RIGHT, FRONT, REAR = range(4)
 EDGES = ("left", "right", "front", "rear")
 
@@ -47,8 +50,9 @@ class Stance:
     """The same for the whole robot turning about an edge: the wheels come along."""
     pitch_tip_gyration_m2: float = 0.0
     roll_sway_s2pm: float = 0.0
-    """How far the springs let the body lean for each m/s2 along its y axis (rad)."""
+    """Mass times height over the springs' stiffness against roll: the lean for each m/s2 along y."""
     pitch_sway_s2pm: float = 0.0
+    wheel_radius_m: float = 0.0
     imu_m: Three = (0.0, 0.0, 0.0)
     """The IMU's place from the COM."""
     strokes_rad: tuple[float, float] = (0.0, 0.0)
@@ -76,42 +80,60 @@ def at_com(stance: Stance, force: Three, rate: Three, turn: Three) -> Three:
     )
 
 
-def load_transfer(stance: Stance, force: Three, turn: Three) -> tuple[float, float]:
-    """Return (left - right)/all and (front - rear)/all of the wheel loads, from the moments about the COM.
+def contacts(stance: Stance, lean: tuple[float, float]) -> Contacts:
+    """Return where the ground carries a body that leans on it by `lean` (roll, pitch).
 
-    sum (r_i x F_i) = I alpha with all r_i on the ground gives the centre of pressure; at +-1 wheels are in
-    the air, so it ends there. `force` (m/s2, at the COM) and `turn` (rad/s2) are in body axes.
+    Wheels slide along the body's z axis, and stand on the ground straight below their centres.
     """
     left, right, front, rear = stance.reach_m
-    push = max(force[2], 1e-3)
-    leftward = (-stance.height_m * force[1] + stance.roll_gyration_m2 * turn[0]) / push
-    forward = (-stance.height_m * force[0] - stance.pitch_gyration_m2 * turn[1]) / push
-    lateral = (2.0 * leftward + right - left) / (left + right)
-    longitudinal = (2.0 * forward + rear - front) / (front + rear)
+    (roll, pitch), radius = lean, stance.wheel_radius_m
+    hub = stance.height_m - radius
+    side, ahead = radius * sin(roll), radius * sin(pitch)
+    across, along = hub + radius * cos(roll), hub + radius * cos(pitch)
+    rising, diving = tan(roll), tan(pitch)
+    return (
+        (left - side, across + left * rising),
+        (right + side, across - right * rising),
+        (front + ahead, along - front * diving),
+        (rear - ahead, along + rear * diving),
+    )
+
+
+def spring_lean(stance: Stance, force: Three) -> tuple[float, float]:
+    """Roll and pitch that the springs give the body under a specific force, up to where wheels lift."""
+    left, right, front, rear = stance.reach_m
+    height, radius = stance.height_m, stance.wheel_radius_m
+    # K lean = m (h f - r g lean), and no moment is larger than all weight on one side makes it.
+    roll_sway, pitch_sway = stance.roll_sway_s2pm, stance.pitch_sway_s2pm
+    own = radius / height * GRAVITY_MPS2
+    most_y, most_x = (0.5 * GRAVITY_MPS2 * (a + b) / height for a, b in ((left, right), (front, rear)))
+    push_y = min(most_y, max(-most_y, force[1] / (1.0 + own * roll_sway)))
+    push_x = min(most_x, max(-most_x, force[0] / (1.0 + own * pitch_sway)))
+    return push_y * roll_sway, -push_x * pitch_sway
+
+
+def load_transfer(
+    stance: Stance, places: Contacts, force: Three, turn: tuple[float, float]
+) -> tuple[float, float]:
+    """Return (left - right)/all and (front - rear)/all of the wheel loads, from the moments about the COM.
+
+    The ground's force acts somewhere on the line between the contacts of two sides: sum (r_i x F_i) = I alpha
+    says where. At +-1 wheels are in the air, so it ends there. `force` (m/s2, at the COM) and `turn` (rad/s2,
+    roll and pitch) are in body axes.
+    """
+    (left, below_left), (right, below_right), (front, below_front), (rear, below_rear) = places
+    ahead, side, up = force
+    at_left, at_right = left * up + below_left * side, below_right * side - right * up
+    lateral = 1.0 - 2.0 * (stance.roll_gyration_m2 * turn[0] - at_left) / (at_right - at_left)
+    at_front, at_rear = -front * up - below_front * ahead, rear * up - below_rear * ahead
+    longitudinal = 1.0 - 2.0 * (stance.pitch_gyration_m2 * turn[1] - at_front) / (at_rear - at_front)
     return min(1.0, max(-1.0, lateral)), min(1.0, max(-1.0, longitudinal))
 
 
-def outward(stance: Stance, force: Three, turn: Three) -> tuple[Edges, Edges]:
+def outward(stance: Stance, force: Three, turn: tuple[float, float]) -> tuple[Edges, Edges]:
     """Push over each edge: net force outward (m/s2), and net moment over the mass (m2/s2)."""
     roll, pitch = stance.roll_gyration_m2 * turn[0], stance.pitch_gyration_m2 * turn[1]
     return (-force[1], force[1], -force[0], force[0]), (roll, -roll, -pitch, pitch)
-
-
-def edge_depths(stance: Stance, force: Three) -> Edges:
-    """How far below the COM each edge lies, along the body's z axis: a body that leans has them uneven."""
-    left, right, front, rear = stance.reach_m
-    limit_roll, limit_pitch = 0.5 * (left + right), 0.5 * (front + rear)
-    most_y, most_x = GRAVITY_MPS2 * limit_roll, GRAVITY_MPS2 * limit_pitch
-    height = stance.height_m  # at which all weight is on one side: the springs give no more
-    side = min(most_y, max(-most_y, height * force[1])) * stance.roll_sway_s2pm / height
-    ahead = min(most_x, max(-most_x, height * force[0])) * stance.pitch_sway_s2pm / height
-    # roll + = left side up: the left wheels hang lower; pitch + = nose down, from braking (force[0] < 0)
-    return (
-        height + side * limit_roll,
-        height - side * limit_roll,
-        height + ahead * limit_pitch,
-        height - ahead * limit_pitch,
-    )
 
 
 def force_angle(reach: float, depth: float, push: float, moment: float, weight: float) -> tuple[float, float]:
@@ -127,11 +149,6 @@ def force_angle(reach: float, depth: float, push: float, moment: float, weight: 
     lever, net = sqrt(lever2), hypot(push, weight)
     lifted = lever * net - (push * reach + weight * depth)  # |f| l (1 - cos theta)
     return angle, copysign(lifted, angle)
-
-
-def lean_angle(reach: float, depth: float, push: float, weight: float) -> float:
-    """Angle of a force without moment to an edge (rad)."""
-    return atan2(reach, depth) - atan2(push, weight)
 
 
 def time_to_balance(
