@@ -164,16 +164,11 @@ class EmulatedRobot:
         self._put_bytes()
         world.step(STEP_S, self.suspension.drive(), self._wheel_rpm())
         if native.steps % IMU_EVERY_STEPS == 0:
-            reading = world.imu()
-            self.imu.set_inputs(
-                reading.accel_mps2.tolist(), reading.gyro_radps.tolist(), reading.mag_ut.tolist()
-            )
+            self.imu.set_inputs(*world.imu())
         if native.steps % FEEDBACK_EVERY_STEPS == 0:
             self._feed_back()
         wheel_rpm = self._run_drives(steps)
-        plate_rad: list[float] = []
-        for step in range(steps):
-            plate_rad += world.plate_rad(world.time_us + step * STEP_US)
+        plate_rad = world.plate_path_rad(steps, STEP_US)
         self._set_pins()
         lib.tiger_robot_run(native, steps, plate_rad, wheel_rpm)
         world.turn_field()

@@ -32,6 +32,7 @@ CHANNELS = 2
 BAUD = 115200
 BYTE_NS = 10 * 1_000_000_000 // BAUD
 LINE_LIMIT = 64
+STILL = [0.0] * CHANNELS
 
 FF_EMERGENCY_STOP = 16
 FF_DEFAULT_CONFIG = 128
@@ -157,19 +158,20 @@ class Roboteq:
 
     def _ramp(self, span_ns: int) -> None:
         self._emergency = self._emergency or self.estop_input
-        off = self.stage_off
-        for channel, command in enumerate(self._command_rpm):
-            target = 0.0 if self._watchdog_expired else command
-            speed = self._motor_rpm[channel]
-            if off:
-                self._motor_rpm[channel] = 0.0
-            elif speed != target:
+        targets = STILL if self._watchdog_expired else self._command_rpm
+        if self.stage_off:
+            self._motor_rpm = list(STILL)
+        elif self._motor_rpm != targets:
+            for channel, target in enumerate(targets):
+                speed = self._motor_rpm[channel]
                 slowing = abs(target) < abs(speed) or target * speed < 0.0
                 ramp = self._settings["MDEC" if slowing else "MAC"][channel]
                 change = ramp * 0.1 * span_ns * 1e-9
                 self._motor_rpm[channel] = max(speed - change, min(speed + change, target))
-            if target == 0.0:
-                self.motor_flags[channel] &= ~FM_CLEARED_AT_ZERO
+        if any(self.motor_flags):
+            for channel, target in enumerate(targets):
+                if target == 0.0:
+                    self.motor_flags[channel] &= ~FM_CLEARED_AT_ZERO
 
     # ---- the motors
 

@@ -287,6 +287,13 @@ class World:
         time_s = time_us * 1e-6
         return roll.angle_rad(time_s), pitch.angle_rad(time_s)
 
+    def plate_path_rad(self, steps: int, step_us: int) -> list[float]:
+        """Roll and pitch of the plate now and at the steps to come, one after the other, (2 steps,)."""
+        now_us = self.time_us
+        if not self.scenario.plate:
+            return [0.0] * (2 * steps)
+        return [angle for step in range(steps) for angle in self.plate_rad(now_us + step * step_us)]
+
     def _lift_m(self) -> list[float]:
         """Lifts of the mechanisms from mid-stroke."""
         native = self.native

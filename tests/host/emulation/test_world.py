@@ -386,7 +386,7 @@ def test_reading_one_sensor_does_not_disturb_another() -> None:
     for _ in range(100):
         busy.potentiometer_volts()
         busy.motor_current_a()
-    assert quiet.imu().accel_mps2.tolist() == busy.imu().accel_mps2.tolist()
+    assert quiet.imu().accel_mps2 == busy.imu().accel_mps2
 
 
 def test_a_stroke_beyond_the_actuator_is_refused_by_corner() -> None:

@@ -8,14 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, pi
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tiger.models.full_car import GRAVITY_MPS2
 
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
 Array = NDArray[np.float64]
+Three = tuple[float, float, float]
 
 
 class PointMotion(NamedTuple):
@@ -146,9 +150,9 @@ BNO055 = ImuSpec(
 class ImuReading(NamedTuple):
     """One sample in the chip's axes."""
 
-    accel_mps2: Array
-    gyro_radps: Array
-    mag_ut: Array
+    accel_mps2: Three
+    gyro_radps: Three
+    mag_ut: Three
 
 
 class Triad:
@@ -169,8 +173,7 @@ class Triad:
         self._noise_sd = spec.noise_density * np.sqrt(spec.bandwidth_hz)
         self._unread_s = 0.0
         self._gain_for_s, self._gain = -1.0, 0.0
-        self._noise = np.empty((0, 3))
-        self._next = 0
+        self._noise: Iterator[list[float]] = iter(())
         self.bias = random.uniform(-1.0, 1.0, 3) * spec.bias
 
     def gain(self, dt_s: float) -> float:
@@ -189,19 +192,29 @@ class Triad:
         """Let time pass that the state has followed already."""
         self._unread_s += dt_s
 
-    def read(self) -> Array:
-        """Return one reading, (3,)."""
+    def read(self) -> Three:
+        """Return one reading."""
         spec = self._spec
         if spec.bias_walk > 0.0:
             self.bias += spec.bias_walk * np.sqrt(self._unread_s) * self._random.standard_normal(3)
         self._unread_s = 0.0
-        if self._next == len(self._noise):
-            self._noise, self._next = self._noise_sd * self._random.standard_normal((self._BLOCK, 3)), 0
-        reading = self.state + self.bias + self._noise[self._next]
-        self._next += 1
-        if spec.step > 0.0:
-            reading = np.rint(reading / spec.step) * spec.step
-        return np.asarray(np.minimum(np.maximum(reading, -spec.limit), spec.limit))
+        noise = next(self._noise, None)
+        if noise is None:
+            block = self._noise_sd * self._random.standard_normal((self._BLOCK, 3))
+            self._noise = iter(block.tolist())
+            noise = next(self._noise)
+        # Plain floats: on three of them numpy takes four times as long.
+        x, y, z = (
+            self._digitised(truth + bias + error)
+            for truth, bias, error in zip(self.state.tolist(), self.bias.tolist(), noise, strict=True)
+        )
+        return x, y, z
+
+    def _digitised(self, value: float) -> float:
+        step, limit = self._spec.step, self._spec.limit
+        if step > 0.0:
+            value = round(value / step) * step
+        return limit if value > limit else -limit if value < -limit else value
 
 
 class Imu:

@@ -28,7 +28,7 @@ class MotorCurrent:
         """Return the motor current that makes a torque; friction takes the no-load current while it turns."""
         drag = self.no_load_a * np.tanh(np.asarray(speed_radps, dtype=float) / 0.5)
         current = np.asarray(torque_nm, dtype=float) / self.torque_per_amp_nm + drag
-        return np.asarray(np.clip(current, -self.limit_a, self.limit_a))
+        return np.asarray(np.minimum(np.maximum(current, -self.limit_a), self.limit_a))
 
     def measured_a(self, current_a: ArrayLike, random: np.random.Generator | None = None) -> Array:
         """Return what the controller reports of each current."""
