@@ -198,6 +198,15 @@ class ContactConfig(_Section):
     track_fade_deg: Positive
 
 
+class ForesightConfig(_Section):
+    """Planning over ground that is too fast for the actuators."""
+
+    step_s: Annotated[float, Field(ge=0.02, le=0.2, strict=True)]
+    period_s: Annotated[float, Field(ge=0.02, le=0.2, strict=True)]
+    goes_on_m: Positive
+    slowest_mps: Positive
+
+
 class BalanceConfig(_Section):
     """Mode `balance`."""
 
@@ -237,6 +246,8 @@ class OdometryConfig(_Section):
     wheel_noise_mps: Positive
     wheel_noise_ratio: Positive
     gate_sigmas: Positive
+    regain_sigmas: Positive
+    coasting_sigmas: Positive
     longest_tooth_s: Positive
     memory: Positive
     push_time_s: Annotated[float, Field(ge=0.02, strict=True)]
@@ -349,6 +360,7 @@ class RobotConfig(_Section):
     loop: LoopConfig
     observer: ObserverConfig
     leveling: LevelingConfig
+    foresight: ForesightConfig
     contact: ContactConfig
     balance: BalanceConfig
     loads: LoadsConfig

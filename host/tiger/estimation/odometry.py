@@ -32,8 +32,6 @@ from tiger.estimation.inertial import (
     Noise,
     U,
     V,
-    X,
-    Y,
 )
 from tiger.estimation.slip import SlipState
 from tiger.models.full_car import GRAVITY_MPS2
@@ -46,6 +44,8 @@ if TYPE_CHECKING:
     from tiger.record import Estimate, Four, ImuRawSample, Inputs, Three
 
     Array = NDArray[np.float64]
+
+Six = tuple[float, float, float, float, float, float]
 
 CORRECT_EVERY = 2
 """IMU samples between two corrections: 20 ms."""
@@ -85,6 +85,8 @@ class OdometryState:
     side_push_mps2: float = 0.0
     stood_s: float = 0.0
     distance_m: float = 0.0
+    pose_covariance: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    speed_sigma_mps: float = 0.0
     begun: bool = False
     has_field: bool = False
 
@@ -125,7 +127,7 @@ def step(
         fresh = min(left.t_s, right.t_s) > state.wheel_t_s
         if fresh and state.samples >= CORRECT_EVERY:
             state = _corrected(design, state, inputs, estimate, sampled_s)
-    return state, _shown(design, state, inputs.now_s, estimate)
+    return state, _shown(design, state, inputs.now_s)
 
 
 def _begun(design: OdometryDesign, raw: ImuRawSample) -> OdometryState:
@@ -199,7 +201,8 @@ def _corrected(
     surface = _four([radius * speed for speed in wheel_radps])
     wheels = slip.told(_four([rolls * speed + lever for speed in surface]), half_track, r, state.slip.scrub)
     speed = motion.u_mps - motion.accel_mps2[0] * before_s
-    good = slip.trusted(config, wheels, speed, correction.variance({U: 1.0}), r)
+    coasting = sqrt(max(float(covariance[U, U]), 0.0))
+    good = slip.trusted(config, state.slip, wheels, speed, coasting, r)
 
     stood_s = _standing_s(config, state, wheel_radps, dt)
     standing = stood_s > config.stand_s
@@ -226,7 +229,8 @@ def _corrected(
         correction.motion = motion
 
     motion = correction.applied()
-    sigma = sqrt(max(correction.covariance[U, U], 0.0))
+    sigma = sqrt(max(float(correction.covariance[U, U]), 0.0))
+    (xx, xy, x_yaw), (_, yy, y_yaw), (_, _, yaw_yaw) = correction.covariance[: YAW + 1, : YAW + 1].tolist()
     surfaces = _four([ahead * speed + lever for speed in surface])
     slipping = slip.step(
         config, state.slip, replace(wheels, surface_mps=surfaces), good, motion.u_mps, sigma, r, dt
@@ -243,6 +247,8 @@ def _corrected(
         corrected_s=0.0,
         samples=0,
         stood_s=stood_s,
+        pose_covariance=(xx, xy, x_yaw, yy, y_yaw, yaw_yaw),
+        speed_sigma_mps=sigma,
     )
 
 
@@ -260,8 +266,8 @@ def _with_field(
 ) -> tuple[Motion, float, bool]:
     """Take in a magnetometer sample, turned level; return the motion, the field's vertical part, and True.
 
-    It is Earth's field turned by the yaw, and what the robot itself carries; an error of roll or pitch mixes in
-    the vertical field. A field whose vertical part or direction is not what was expected is left out.
+    It is Earth's field turned by the yaw, and what the robot itself carries; an error of roll or pitch mixes
+    in the vertical field. A field whose vertical part or direction is not as expected is left out.
     """
     motion = correction.motion
     sin_roll, cos_roll = sin(motion.roll_rad), cos(motion.roll_rad)
@@ -298,33 +304,26 @@ def _with_field(
 # ---- what is shown --------------------------------------------------
 
 
-def _shown(design: OdometryDesign, state: OdometryState, now_s: float, estimate: Estimate) -> Odometry:
+def _shown(design: OdometryDesign, state: OdometryState, now_s: float) -> Odometry:
     """The estimate for now: the last sample's motion carried on for its age."""
-    motion, covariance = state.motion, state.covariance
+    motion = state.motion
     _, q, r = motion.rate_radps
     age_s = min(max(now_s - state.imu_t_s, 0.0), LONGEST_GAP_S)
-    speed = motion.u_mps - q * design.imu_height_m
     ahead, left = motion.u_mps * age_s, motion.v_mps * age_s
-    yaw_rate = r
-    yaw = motion.yaw_rad + yaw_rate * age_s
+    yaw = motion.yaw_rad + r * age_s
     cos_yaw, sin_yaw = cos(yaw), sin(yaw)
-    xx, xy, xyaw = covariance[X, X], covariance[X, Y], covariance[X, YAW]
-    standing = state.stood_s > design.config.stand_s
     return Odometry(
-        x_m=motion.x_m + cos_yaw * ahead - sin_yaw * left,
-        y_m=motion.y_m + sin_yaw * ahead + cos_yaw * left,
-        yaw_rad=yaw,
-        covariance=(
-            *(float(xx), float(xy), float(xyaw)),
-            *(float(covariance[Y, Y]), float(covariance[Y, YAW]), float(covariance[YAW, YAW])),
-        ),
-        speed_mps=speed,
-        speed_sigma_mps=sqrt(max(float(covariance[U, U]), 0.0)),
-        yaw_rate_radps=yaw_rate,
-        distance_m=state.distance_m,
-        slip_ratio=state.slip.ratio,
-        slipping=state.slip.slipping,
-        standing=standing,
+        motion.x_m + cos_yaw * ahead - sin_yaw * left,
+        motion.y_m + sin_yaw * ahead + cos_yaw * left,
+        yaw,
+        state.pose_covariance,
+        motion.u_mps - q * design.imu_height_m,
+        state.speed_sigma_mps,
+        r,
+        state.distance_m,
+        state.slip.ratio,
+        state.slip.slipping,
+        state.stood_s > design.config.stand_s,
     )
 
 

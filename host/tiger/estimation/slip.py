@@ -11,7 +11,7 @@ slip ratio = (surface speed - speed over ground)/|speed over ground| of each whe
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import hypot, sqrt
+from math import hypot
 from typing import TYPE_CHECKING
 
 from tiger.record import STILL
@@ -55,20 +55,30 @@ def told(surface_mps: Four, half_track_m: Four, yaw_rate_radps: float, scrub: fl
 
 
 def trusted(
-    config: OdometryConfig, wheels: Wheels, speed_mps: float, speed_variance: float, yaw_rate_radps: float
+    config: OdometryConfig,
+    state: SlipState,
+    wheels: Wheels,
+    speed_mps: float,
+    speed_sigma_mps: float,
+    yaw_rate_radps: float,
 ) -> FourBools:
-    """Tell which wheels agree with the speed that inertia gives, within what either may be off."""
+    """Tell which wheels agree with the speed that inertia gives, within what either may be off.
+
+    A wheel that slipped must come closer before it is believed again, and a speed that has been coasting for
+    long is only a weak reason to believe a wheel that is further off.
+    """
     spread = hypot(
         config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps),
         config.scrub_noise * yaw_rate_radps * wheels.half_track_m[0],
     )
-    most = config.gate_sigmas * sqrt(spread * spread + speed_variance)
-    a, b, c, d = wheels.told_mps
+    most = config.gate_sigmas * spread + config.coasting_sigmas * speed_sigma_mps
+    closer = config.regain_sigmas * spread + config.coasting_sigmas * speed_sigma_mps
+    (a, b, c, d), (fl, fr, rl, rr) = wheels.told_mps, state.slipping
     return (
-        abs(a - speed_mps) < most,
-        abs(b - speed_mps) < most,
-        abs(c - speed_mps) < most,
-        abs(d - speed_mps) < most,
+        abs(a - speed_mps) < (closer if fl else most),
+        abs(b - speed_mps) < (closer if fr else most),
+        abs(c - speed_mps) < (closer if rl else most),
+        abs(d - speed_mps) < (closer if rr else most),
     )
 
 

@@ -1,0 +1,271 @@
+"""Dead reckoning on paper: a robot whose motion is known exactly, seen through noisy sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import cos, degrees, hypot, pi, radians, sin, sqrt
+
+import numpy as np
+import pytest
+
+from driven import Driven, Truth, ramp, still
+from tiger.config.errors import ConfigError
+from tiger.config.robot import load_robot
+from tiger.estimation import inertial
+from tiger.estimation import odometry as dead_reckoning
+from tiger.estimation.odometry import OdometryState
+from tiger.logs.checkpoint import freeze, thaw
+from tiger.record import Four, Inputs, Odometry
+
+ROBOT = load_robot(None)
+DESIGN = dead_reckoning.design_odometry(ROBOT)
+STAND_S = 6.0
+
+
+@dataclass
+class Ride:
+    """What was believed and what was true, one row a sample."""
+
+    state: OdometryState = field(default_factory=OdometryState)
+    last: Odometry = field(default_factory=Odometry)
+    truth: Truth = field(default_factory=Truth)
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+    """time, error of x, y, yaw, speed, their sigmas."""
+
+    def column(self, index: int) -> np.ndarray:
+        return np.array(self.rows)[:, index]
+
+
+def ride(driven: Driven, duration_s: float, after: Callable[[Odometry, Truth], None] | None = None) -> Ride:
+    result = Ride(truth=driven.truth)
+    age_s = 0.004
+    for inputs, estimate, truth in driven.run(duration_s):
+        result.state, believed = dead_reckoning.step(DESIGN, result.state, inputs, estimate, 0.01)
+        ahead_m = truth.speed_mps * cos(driven.climb_rad) * age_s
+        c = believed.covariance
+        result.rows.append(
+            (
+                truth.time_s,
+                believed.x_m - truth.x_m - ahead_m * cos(truth.yaw_rad),
+                believed.y_m - truth.y_m - ahead_m * sin(truth.yaw_rad),
+                believed.yaw_rad - truth.yaw_rad - truth.yaw_rate_radps * age_s,
+                believed.speed_mps - truth.speed_mps,
+                *(sqrt(max(v, 0.0)) for v in (c[0], c[3], c[5])),
+                believed.speed_sigma_mps,
+            )
+        )
+        if after is not None:
+            after(believed, truth)
+        result.last = believed
+    return result
+
+
+def wander(time_s: float) -> float:
+    """Turn now to the left, now to the right."""
+    return 0.3 * sin(0.4 * (time_s - STAND_S)) if time_s > STAND_S + 3.0 else 0.0
+
+
+def between(first_s: float, last_s: float, slip: Four) -> Callable[[float], Four]:
+    def value(time_s: float) -> Four:
+        return slip if first_s <= time_s < last_s else (0.0, 0.0, 0.0, 0.0)
+
+    return value
+
+
+def test_before_any_sample_nothing_is_claimed() -> None:
+    state, believed = dead_reckoning.step(
+        DESIGN, OdometryState(), Inputs(now_s=0.0, armed=False), next(Driven().run(0.01))[1], 0.005
+    )
+    assert believed == Odometry()
+    assert not state.begun
+
+
+def test_a_robot_that_stands_stays_where_it_is_and_learns_its_gyro() -> None:
+    result = ride(Driven(), 60.0)
+    assert result.last.standing
+    assert hypot(result.last.x_m, result.last.y_m) < 0.02
+    assert abs(degrees(result.last.yaw_rad)) < 0.3
+    biases = [degrees(bias) for bias in result.state.motion.gyro_bias_radps]
+    assert biases[2] == pytest.approx(0.9, abs=0.02)
+
+
+@pytest.mark.parametrize("speed", [0.5, 2.0, -1.0])
+def test_a_straight_drive_ends_where_the_wheels_say(speed: float) -> None:
+    result = ride(Driven(ramp(STAND_S, speed)), 50.0)
+    assert abs(result.rows[-1][1]) < 0.005 * result.truth.travelled_m
+    assert abs(result.rows[-1][2]) < 0.01 * result.truth.travelled_m
+    assert result.last.distance_m == pytest.approx(result.truth.travelled_m, rel=0.005)
+    assert result.last.speed_mps == pytest.approx(speed, abs=0.02)
+    assert not result.last.standing
+
+
+def test_a_wrong_wheel_radius_is_a_wrong_distance() -> None:
+    """What calibration must give: the estimate hangs on it."""
+    drive = ROBOT.drive.model_copy(update={"wheel_radius_factor": 1.05})
+    design = dead_reckoning.design_odometry(ROBOT.model_copy(update={"drive": drive}))
+    state, driven = OdometryState(), Driven(ramp(STAND_S, 1.0))
+    for inputs, estimate, _ in driven.run(40.0):
+        state, believed = dead_reckoning.step(design, state, inputs, estimate, 0.01)
+    assert believed.x_m == pytest.approx(1.05 * driven.truth.x_m, rel=0.01)
+
+
+@pytest.mark.parametrize("level", [False, True])
+def test_a_climb_counts_along_the_ground_and_maps_onto_the_plane(level: bool) -> None:
+    climb = radians(8.0)
+    result = ride(Driven(ramp(STAND_S, 1.0), climb_rad=climb, body_level=level), 50.0)
+    along = result.truth.travelled_m
+    assert result.last.x_m == pytest.approx(along * cos(climb), rel=0.006)
+    assert along - result.truth.x_m > 0.009 * along
+
+
+def test_heading_keeps_within_a_degree_over_ten_minutes_of_turns() -> None:
+    result = ride(Driven(ramp(STAND_S, 0.7), wander, seed=3), 600.0)
+    assert np.degrees(np.abs(result.column(3))).max() < 1.0
+    assert hypot(result.rows[-1][1], result.rows[-1][2]) < 0.01 * result.truth.travelled_m
+
+
+def test_hard_iron_is_learned_while_the_robot_turns() -> None:
+    driven = Driven(ramp(STAND_S, 0.7), ramp(STAND_S + 2.0, 0.3), seed=5)
+    result = ride(driven, 120.0)
+    assert result.state.motion.iron_ut == pytest.approx(driven.iron_ut, abs=0.4)
+
+
+def test_a_magnet_beside_the_way_turns_no_heading() -> None:
+    def passing(time_s: float) -> float:
+        return 15.0 if 40.0 < time_s < 55.0 else 0.0
+
+    result = ride(Driven(ramp(STAND_S, 0.7), wander, disturbance_ut=passing, seed=2), 70.0)
+    assert np.degrees(np.abs(result.column(3))).max() < 1.0
+
+
+@pytest.mark.parametrize("ratio", [0.15, -0.15])
+@pytest.mark.parametrize("wheels", range(1, 16))
+def test_five_seconds_of_slip_of_any_wheels_cost_little(wheels: int, ratio: float) -> None:
+    slip = tuple(ratio if wheels >> i & 1 else 0.0 for i in range(4))
+    assert len(slip) == 4
+    began, errors = [], []
+
+    def after(believed: Odometry, truth: Truth) -> None:
+        if 20.0 <= truth.time_s < 25.0:
+            flagged = all(b == (s != 0.0) for b, s in zip(believed.slipping, truth.slip, strict=True))
+            if flagged and not began:
+                began.append(truth.time_s - 20.0)
+            if truth.time_s > 20.05:
+                errors.append([b - s for b, s in zip(believed.slip_ratio, truth.slip, strict=True)])
+
+    result = ride(Driven(ramp(STAND_S, 1.0), slip=between(20.0, 25.0, slip), seed=wheels), 30.0, after)
+    assert began
+    assert began[0] <= 0.15
+    assert np.abs(errors).max() < 0.03 + 0.01
+    assert sqrt(np.mean(np.square(errors))) < 0.03
+    assert abs(result.rows[-1][1]) < 0.01 * result.truth.travelled_m  # 0.75 m had the wheels been believed
+    assert not any(result.last.slipping)
+
+
+def test_wheels_that_hold_are_not_flagged() -> None:
+    flags = []
+    turn = Driven(ramp(STAND_S, 1.0), wander, scrub=1.0, seed=4)
+    ride(turn, 60.0, lambda believed, _: flags.append(any(believed.slipping)))
+    assert sum(flags) == 0
+
+
+def test_wheels_locked_on_ice_are_not_standing() -> None:
+    def sliding(time_s: float) -> Four:
+        return (-1.0, -1.0, -1.0, -1.0) if time_s > 20.0 else (0.0, 0.0, 0.0, 0.0)
+
+    result = ride(Driven(ramp(STAND_S, 1.5), slip=sliding), 23.0)
+    assert not result.last.standing
+    assert result.last.speed_mps == pytest.approx(1.5, abs=0.1)
+    assert all(result.last.slipping)
+
+
+def test_errors_stay_within_three_sigma() -> None:
+    """Every sixth second of many drives with their own slips, biases and noise."""
+    inside, count = np.zeros(4), 0
+    for seed in range(6):
+        random = np.random.default_rng(seed)
+        at = 15.0 + 20.0 * random.random()
+        slip = tuple(0.15 * (random.random() < 0.6) for _ in range(4))
+        assert len(slip) == 4
+        driven = Driven(
+            ramp(STAND_S, 0.5 + 1.5 * random.random()),
+            wander if seed % 2 else still,
+            slip=between(at, at + 5.0, slip),
+            seed=seed,
+            gyro_bias_degps=tuple(random.uniform(-1.0, 1.0, 3)),
+            accel_bias_mps2=tuple(random.uniform(-0.02, 0.02, 2)),
+            iron_ut=tuple(random.uniform(-2.0, 2.0, 2)),
+        )
+        rows = np.array(ride(driven, 60.0).rows)[1000:]
+        inside += (np.abs(rows[:, 1:5]) < 3.0 * rows[:, 5:9]).sum(axis=0)
+        count += len(rows)
+    assert (inside / count > 0.99).all(), inside / count
+
+
+def test_a_gap_of_the_imu_is_waited_out() -> None:
+    state = OdometryState()
+    for inputs, estimate, truth in Driven(ramp(STAND_S, 1.0)).run(20.0):
+        if not 15.0 < truth.time_s < 15.3:
+            state, believed = dead_reckoning.step(DESIGN, state, inputs, estimate, 0.01)
+    assert believed.speed_mps == pytest.approx(1.0, abs=0.03)
+    assert np.isfinite(state.covariance).all()
+
+
+def test_the_covariance_stays_one() -> None:
+    result = ride(Driven(ramp(STAND_S, 1.0), wander), 120.0)
+    covariance = result.state.covariance
+    assert covariance == pytest.approx(covariance.T, rel=1e-6, abs=1e-12)
+    scale = np.sqrt(np.diag(covariance))
+    assert np.linalg.eigvalsh(covariance / np.outer(scale, scale)).min() > -1e-9
+
+
+def test_the_equations_of_the_covariance_are_those_of_the_motion() -> None:
+    """Each column of the transition against the motion with that one thing off."""
+    motion = inertial.Motion(
+        yaw_rad=0.7, u_mps=1.2, v_mps=0.1, pitch_rad=0.03, roll_rad=-0.02, rate_radps=(0.0, 0.0, 0.3)
+    )
+    dt, off = 0.01, 1e-5
+    force, gyro = (0.4, 0.35, 9.8), (0.02, -0.01, 0.3)
+    names = ("x_m", "y_m", "yaw_rad", "u_mps", "v_mps", "pitch_rad", "roll_rad")
+
+    def after(start: inertial.Motion) -> np.ndarray:
+        moved = inertial.integrate(start, force, gyro, 0.03, dt)
+        return np.array([getattr(moved, name) for name in names])
+
+    silent = inertial.Noise(np.zeros(inertial.N), np.zeros(inertial.N))
+    from dataclasses import replace
+
+    for index, name in enumerate(names):
+        column = (after(replace(motion, **{name: getattr(motion, name) + off})) - after(motion)) / off
+        single = np.zeros((inertial.N, inertial.N))
+        single[index, index] = 1.0
+        variances = np.diag(inertial.spread(single, motion, silent, dt))[:7]
+        assert np.sqrt(np.maximum(variances, 0.0)) == pytest.approx(np.abs(column), abs=4e-3), name
+
+
+def test_a_state_is_kept_and_taken_up_again_bit_by_bit() -> None:
+    samples = list(Driven(ramp(2.0, 1.0), wander).run(12.0))
+    state = OdometryState()
+    for inputs, estimate, _ in samples[:900]:
+        state, _ = dead_reckoning.step(DESIGN, state, inputs, estimate, 0.01)
+    again = thaw(OdometryState(), freeze(state))
+    for inputs, estimate, _ in samples[900:]:
+        state, first = dead_reckoning.step(DESIGN, state, inputs, estimate, 0.01)
+        again, second = dead_reckoning.step(DESIGN, again, inputs, estimate, 0.01)
+        assert first == second
+    assert freeze(state) == freeze(again)
+
+
+def test_a_threshold_without_hysteresis_is_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    file = tmp_path / "robot.toml"
+    file.write_text("[odometry]\nevent_over_ratio = 0.2\n")
+    with pytest.raises(ConfigError, match=r"event_over_ratio = 0.2 must be below event_ratio = 0.08"):
+        load_robot(file)
+
+
+def test_yaw_wraps_nowhere() -> None:
+    """Full turns add up, so that a heading has no jump to trip over."""
+    result = ride(Driven(ramp(STAND_S, 0.7), ramp(STAND_S + 2.0, 0.4)), 60.0)
+    assert result.last.yaw_rad > 3.0 * 2.0 * pi
+    assert result.last.yaw_rad == pytest.approx(result.truth.yaw_rad, abs=radians(1.5))
