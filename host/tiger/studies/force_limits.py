@@ -79,7 +79,7 @@ class Timed:
 def run(
     vehicle: str = "table-6-1",
     noise: float = 0.1,
-    rate_nps: float = 200_000.0,
+    rate_nps: float = 60_000.0,
     travel_mm: float = 70.0,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
