@@ -14,23 +14,20 @@ that came in: two robots fed alike are equal, in however many calls their time h
 
 from __future__ import annotations
 
-from functools import partial
 from math import nan
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from tiger.config.errors import ConfigError
 from tiger.emulation.cable import Cable, LineNoise, NoisyLine
+from tiger.emulation.faults import SIDES, Plan, table_of_failures
 from tiger.emulation.roboteq import Roboteq
 from tiger.emulation.world import STANDING_RADPS, SWITCH_MARGIN_MM, Truth, World
-from tiger.models.sensors.potentiometer import ADC_COUNTS, Potentiometer
+from tiger.models.sensors.potentiometer import Potentiometer
 from tiger.native._core import ffi, lib
-from tiger.native.boards import BROWN_OUT, EXTERNAL, PEER_PORT, Board, ImuBoard, SpeedBoard, SuspensionBoard
+from tiger.native.boards import PEER_PORT, Board, ImuBoard, SpeedBoard, SuspensionBoard
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from tiger.config.vehicle import VehicleConfig
-    from tiger.emulation.scenarios import FaultEvent, Scenario
+    from tiger.emulation.scenarios import Scenario
 
 STEP_US = 1000
 STEP_S = STEP_US * 1e-6
@@ -39,7 +36,6 @@ FEEDBACK_EVERY_STEPS = 10  # what the Roboteqs measure
 
 BOARD_CABLES = ("suspension", "speed_left", "speed_right")
 DRIVE_CABLES = ("roboteq_left", "roboteq_right")
-SIDES = {"left": (0, 2), "right": (1, 3)}  # front and rear corner of each side
 
 RESONATOR_PPM = {
     "mega_suspension": 800.0,
@@ -51,16 +47,6 @@ RESONATOR_PPM = {
 
 GEAR_PLAY_TEETH = 0.01
 """Half the hysteresis of a gear-tooth sensor: without it a standing wheel's tremor is a storm of edges."""
-
-CORNER_NAMES = ("fl", "fr", "rl", "rr")
-_OPEN_POT_COUNTS = float(ADC_COUNTS - 1)
-
-
-class Failure(NamedTuple):
-    """How one kind of planned failure begins and ends; the argument is the event's value."""
-
-    begin: Callable[[float], None]
-    end: Callable[[float], None]
 
 
 class EmulatedRobot:
@@ -112,12 +98,11 @@ class EmulatedRobot:
         self.estop_pressed = False
         self.motor_signs = (1.0, 1.0, 1.0, 1.0)
         """-1 for a motor whose wires are crossed: it turns backwards, and no one notices but the wheel."""
-        self._broken_pots: dict[int, float] = {}  # corner -> counts its input shows
-        self._stuck_pots: dict[int, float] = {}
+        self._forced_counts = [nan] * 4  # what a broken potentiometer shows
         self._native = self._wired()
         self.set_potentiometers(self.world.potentiometer)
-        self._failures = self._table_of_failures()
-        self._plan = self._planned_failures(scenario.fault)
+        self._failures = table_of_failures(self)
+        self._plan = Plan(scenario.fault, self._failures)
 
     @property
     def time_s(self) -> float:
@@ -145,7 +130,7 @@ class EmulatedRobot:
     def run(self, steps: int = 1) -> None:
         """Let so many milliseconds pass."""
         while steps > 0:
-            self._begin_and_end_failures()
+            self._plan.act(self.world.time_us)
             n = min(steps, self._undisturbed_steps())
             self._run(n)
             steps -= n
@@ -155,8 +140,9 @@ class EmulatedRobot:
     def _undisturbed_steps(self) -> int:
         """How many steps may pass before Python is needed again."""
         steps = min(self._most_steps, IMU_EVERY_STEPS - self._native.steps % IMU_EVERY_STEPS)
-        if self._plan:
-            steps = min(steps, -((self.world.time_us - self._plan[-1][0]) // STEP_US))
+        due_us = self._plan.next_us
+        if due_us is not None:
+            steps = min(steps, -((self.world.time_us - due_us) // STEP_US))
         return int(steps)
 
     def _run(self, steps: int) -> None:
@@ -182,8 +168,7 @@ class EmulatedRobot:
         native.estop_pressed = self.estop_pressed
         native.carries_nano = self._nano_up.is_clean and not self.nano_wire_cut
         for corner in range(4):
-            stuck = self._stuck_pots.get(corner, nan)
-            native.forced_counts[corner] = self._broken_pots.get(corner, stuck)
+            native.forced_counts[corner] = self._forced_counts[corner]
 
     def _wheel_rpm(self) -> tuple[float, float, float, float]:
         """What the drives drive the motors to."""
@@ -238,105 +223,17 @@ class EmulatedRobot:
         native.teeth, native.teeth_rad = self.world.teeth, ffi.from_buffer("double[]", self.world.teeth_rad)
         return native
 
-    # ---- planned failures
+    # ---- what planned failures do here
 
-    def _table_of_failures(self) -> dict[tuple[str, str], Failure]:
-        """Return every failure this robot can have, by target and kind."""
-        table: dict[tuple[str, str], Failure] = {
-            ("nano_wire", "cut"): _flag(self, "nano_wire_cut"),
-            ("estop", "press"): _flag(self, "estop_pressed"),
-            ("imu_sensor", "faults"): _value(self.imu.set_faults),
-            ("imu_sensor", "power_cycle"): _once(self.imu.power_cycle_sensor),
-        }
-        for name, cable in self.cables.items():
-            table |= {
-                (name, "cut"): Failure(_ignoring(cable.cut), _ignoring(cable.mend)),
-                (name, "silence"): _flag(cable, "is_silent"),
-            }
-        for name, board in self.boards.items():
-            table |= {
-                (name, "hang"): _once(board.hang),
-                (name, "hang_hard"): _once(partial(board.hang, interrupts_off=True)),
-                (name, "reset"): _once(partial(board.reset, EXTERNAL)),
-                (name, "brown_out"): _once(partial(board.reset, BROWN_OUT)),
-            }
-        for side, drive in self.drives.items():
-            name = f"roboteq_{side}"
-            table |= {
-                (name, "silent"): _flag(drive, "silent"),
-                (name, "deaf"): _flag(drive, "deaf"),
-                (name, "fault_flags"): _value(partial(setattr, drive, "fault_flags")),
-                (name, "reboot"): _once(drive.reboot),
-            }
-        for corner, corner_name in enumerate(CORNER_NAMES):
-            name = f"potentiometer_{corner_name}"
-            heals = _ignoring(partial(self._broken_pots.pop, corner, None))
-            opens = _ignoring(partial(self._broken_pots.update, {corner: _OPEN_POT_COUNTS}))
-            shorts = _ignoring(partial(self._broken_pots.update, {corner: 0.0}))
-            sticks = _ignoring(partial(self._stick_pot, corner))
-            frees = _ignoring(partial(self._stuck_pots.pop, corner, None))
-            table |= {
-                (name, "open"): Failure(opens, heals),
-                (name, "short"): Failure(shorts, heals),
-                (name, "stuck"): Failure(sticks, frees),
-            }
-        return table
+    def force_stroke(self, corner: int, counts: float | None) -> None:
+        """Let a potentiometer show `counts` from now on; None: those of now."""
+        self._forced_counts[corner] = self._native.shown_counts[corner] if counts is None else counts
 
-    def _stick_pot(self, corner: int) -> None:
-        self._stuck_pots[corner] = self._native.shown_counts[corner]
+    def show_stroke(self, corner: int) -> None:
+        """Let a potentiometer show its stroke again."""
+        self._forced_counts[corner] = nan
 
-    def _planned_failures(
-        self, events: tuple[FaultEvent, ...]
-    ) -> list[tuple[int, Callable[[float], None], float]]:
-        """Return (microsecond, action, value), the latest first: the next one is popped off the end."""
-        plan = []
-        for event in events:
-            failure = self._failures.get((event.target, event.kind))
-            if failure is None:
-                kinds = sorted(kind for target, kind in self._failures if target == event.target)
-                known = (
-                    f"{event.target} knows {', '.join(kinds)}"
-                    if kinds
-                    else f"targets are {', '.join(sorted({target for target, _ in self._failures}))}"
-                )
-                raise ConfigError(
-                    f"fault at {event.at_s:g} s: no {event.kind!r} of {event.target!r}; {known}"
-                )
-            plan.append((round(event.at_s * 1e6), failure.begin, event.value))
-            if event.for_s is not None:
-                plan.append((round((event.at_s + event.for_s) * 1e6), failure.end, event.value))
-        return sorted(plan, key=lambda entry: -entry[0])
-
-    def _begin_and_end_failures(self) -> None:
-        now_us = self.world.time_us
-        while self._plan and self._plan[-1][0] <= now_us:
-            _, action, value = self._plan.pop()
-            action(value)
-
-
-def _ignoring(action: Callable[[], object]) -> Callable[[float], None]:
-    def act(_: float) -> None:
-        action()
-
-    return act
-
-
-def _once(action: Callable[[], object]) -> Failure:
-    """A failure that ends by itself."""
-    return Failure(_ignoring(action), _ignoring(lambda: None))
-
-
-def _flag(owner: object, name: str) -> Failure:
-    return Failure(
-        _ignoring(partial(setattr, owner, name, True)), _ignoring(partial(setattr, owner, name, False))
-    )
-
-
-def _value(set_to: Callable[[int], object]) -> Failure:
-    def begin(value: float) -> None:
-        set_to(int(value))
-
-    def end(_: float) -> None:
-        set_to(0)
-
-    return Failure(begin, end)
+    def cross_motor(self, corner: int) -> None:
+        """Cross a motor's wires, or put them right again."""
+        fl, fr, rl, rr = (-s if i == corner else s for i, s in enumerate(self.motor_signs))
+        self.motor_signs = (fl, fr, rl, rr)
