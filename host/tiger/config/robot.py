@@ -315,6 +315,8 @@ class RoughnessConfig(_Section):
     distance_m: Positive
     min_speed_mps: Positive
     noise_mps2: NonNegative
+    flight_from: Positive
+    flight_gain: NonNegative
 
     @model_validator(mode="after")
     def _band(self) -> RoughnessConfig:

@@ -10,19 +10,21 @@ payload's mass; L is the wheelbase, for the rear wheels run in the tracks of the
 are taken as independent. I is tabulated at start-up. The estimate of G is the power measured over the power
 that G = 1 would give, both summed over the way with a memory in metres. A class is a factor of four.
 
-The band holds the body's own swing and leaves the hopping of the wheels out, which on rough ground take off
-and are no linear car.
+The band holds the body's own swing and leaves the hopping of the wheels out. On rough ground at speed the
+wheels take off, and the body swings more than a linear car: by 1 + gain (u - from), u the RMS variation of
+the wheel loads over the load at rest that a linear car would have on this G at this speed. What is measured
+is divided by that.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiger.models.full_car import ROAD, FullCarParameters, full_car
+from tiger.models.full_car import ROAD, TIRE, FullCarParameters, full_car
 from tiger.models.road import ISO_ROUGHNESS_M3, REFERENCE_CYCLES_PER_M
 from tiger.record import Roughness
 
@@ -41,7 +43,10 @@ _SPEED_STEP_MPS = 0.25
 _FASTEST_MPS = 12.0
 _PAYLOAD_STEP_KG = 10.0
 _HEAVIEST_KG = 60.0
-_FREQUENCIES_HZ = np.linspace(0.2, 20.0, 1500)
+_FREQUENCIES_HZ = np.linspace(0.2, 20.0, 400)
+_MOST_CYCLES_PER_M = 1.7
+"""Shorter waves go under the tyre's print (the band of `models.road`)."""
+_ROUNDS = 6
 
 Section = tuple[float, float, float, float, float]
 """b0, b1, b2, a1, a2 of a second-order filter."""
@@ -56,6 +61,8 @@ class RoughnessDesign:
     """The band-pass, at the rate of the IMU."""
     power_per_m3: tuple[tuple[float, ...], ...]
     """I(v) in (m/s2)^2 per m3: a row for each payload, a column for each speed."""
+    flight_per_m3: tuple[tuple[float, ...], ...]
+    """u^2 per m3, alike."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,13 +87,15 @@ def design_roughness(robot: RobotConfig) -> RoughnessDesign:
     sos = butter(2, config.band_hz, "bandpass", fs=rate_hz, output="sos")
     response = sosfreqz(sos, _FREQUENCIES_HZ, fs=rate_hz)[1]
     parameters = FullCarParameters.from_config(robot.vehicle)
-    speeds = np.arange(_SPEED_STEP_MPS, _FASTEST_MPS + _SPEED_STEP_MPS, _SPEED_STEP_MPS)
-    rows = []
-    for payload_kg in np.arange(0.0, _HEAVIEST_KG + _PAYLOAD_STEP_KG, _PAYLOAD_STEP_KG):
-        front, rear = _from_wheels(robot, parameters, float(payload_kg))
-        rows.append(tuple(_power(parameters, front * response, rear * response, float(v)) for v in speeds))
+    speeds = np.arange(_SPEED_STEP_MPS, _FASTEST_MPS + _SPEED_STEP_MPS, _SPEED_STEP_MPS).tolist()
+    power, flight = [], []
+    for payload_kg in np.arange(0.0, _HEAVIEST_KG + _PAYLOAD_STEP_KG, _PAYLOAD_STEP_KG).tolist():
+        loaded = replace(parameters, body_mass_kg=parameters.body_mass_kg + payload_kg)
+        body, tyre = _responses(loaded, robot.vehicle.imu_offset_m[:2])
+        power.append(tuple(_power(loaded, body * response[:, None], v) for v in speeds))
+        flight.append(tuple(_power(loaded, tyre, v) for v in speeds))
     first, second = ((float(b0), float(b1), float(b2), float(a1), float(a2)) for b0, b1, b2, _, a1, a2 in sos)
-    return RoughnessDesign(config, (first, second), tuple(rows))
+    return RoughnessDesign(config, (first, second), tuple(power), tuple(flight))
 
 
 def step(
@@ -105,9 +114,13 @@ def step(
     way = speed * time_s
     keep = max(0.0, 1.0 - way / config.memory_m)
     measured = keep * state.measured + time_s * (passed * passed - config.noise_mps2**2)
-    expected = keep * state.expected + time_s * _expected(design, speed, estimate.loads.payload_kg)
+    payload_kg = estimate.loads.payload_kg
+    expected = keep * state.expected + time_s * _looked_up(design.power_per_m3, speed, payload_kg)
     distance = state.distance_m + way
-    found = _roughness(measured / expected) if distance >= config.distance_m else _UNKNOWN
+    found = _UNKNOWN
+    if distance >= config.distance_m:
+        flight = _looked_up(design.flight_per_m3, speed, payload_kg)
+        found = _roughness(_on_the_ground(config, measured / expected, flight))
     return RoughnessState(imu.t_s, memory, measured, expected, distance, found), found
 
 
@@ -121,6 +134,15 @@ def _roughness(index_m3: float) -> Roughness:
         return Roughness(0.0, 0)
     number = round(0.5 * math.log2(index_m3 / _SMOOTHEST_M3))
     return Roughness(index_m3, min(len(CLASSES) - 1, max(0, number)))
+
+
+def _on_the_ground(config: RoughnessConfig, index_m3: float, flight_per_m3: float) -> float:
+    """Divide an index by what wheels that take off have added to it."""
+    true = index_m3
+    for _ in range(_ROUNDS):
+        flight = math.sqrt(max(0.0, true) * flight_per_m3) - config.flight_from
+        true = index_m3 / (1.0 + config.flight_gain * max(0.0, flight))
+    return true
 
 
 def _filtered(
@@ -139,9 +161,8 @@ def _filtered(
     )
 
 
-def _expected(design: RoughnessDesign, speed_mps: float, payload_kg: float) -> float:
-    """I(v) by interpolation."""
-    table = design.power_per_m3
+def _looked_up(table: tuple[tuple[float, ...], ...], speed_mps: float, payload_kg: float) -> float:
+    """Interpolate in a table over payload and speed."""
     row, down = _place(payload_kg / _PAYLOAD_STEP_KG, len(table))
     column, right = _place(speed_mps / _SPEED_STEP_MPS - 1.0, len(table[0]))
     light, heavy = table[row], table[row + 1]
@@ -158,25 +179,19 @@ def _place(position: float, count: int) -> tuple[int, float]:
 # ---- design -------------------------------------------------
 
 
-def _from_wheels(robot: RobotConfig, parameters: FullCarParameters, payload_kg: float) -> tuple[Array, Array]:
-    """Response (n,) of the IMU's vertical acceleration to the height under a front and a rear wheel."""
-    from dataclasses import replace
-
-    loaded = replace(parameters, body_mass_kg=parameters.body_mass_kg + payload_kg)
-    car = full_car(loaded, robot.vehicle.imu_offset_m[:2]).select(
-        inputs=ROAD, outputs=("imu_heave_accel_mps2",)
-    )
-    resolvents = 2j * np.pi * _FREQUENCIES_HZ[:, None, None] * np.eye(len(car.a)) - car.a
-    response = (car.c @ np.linalg.solve(resolvents, np.broadcast_to(car.b, (len(resolvents), *car.b.shape))))[
-        :, 0
-    ]
-    response = response + car.d[0]
-    return response[:, 0], response[:, 2]
+def _responses(car: FullCarParameters, imu_xy_m: tuple[float, float]) -> tuple[Array, Array]:
+    """Responses to the heights under the four wheels: the IMU's vertical acceleration (n, 4) in m/s2 per m,
+    and the load of the front left tyre (n, 4) over its load at rest."""
+    model = full_car(car, imu_xy_m).select(inputs=ROAD, outputs=("imu_heave_accel_mps2", TIRE[0]))
+    resolvents = 2j * np.pi * _FREQUENCIES_HZ[:, None, None] * np.eye(len(model.a)) - model.a
+    response = model.c @ np.linalg.solve(resolvents, model.b[None]) + model.d
+    return response[:, 0], response[:, 1] * (car.tire_stiffness_npm / float(car.static_tire_load_n()[0]))
 
 
-def _power(parameters: FullCarParameters, front: Array, rear: Array, speed_mps: float) -> float:
-    """I(v): both tracks alike, so twice the left one."""
+def _power(car: FullCarParameters, response: Array, speed_mps: float) -> float:
+    """Power of what answers to the four wheels by `response` (n, 4), on two tracks of 1 m3."""
     f = _FREQUENCIES_HZ
-    late = np.exp(-2j * np.pi * f * parameters.wheelbase_m / speed_mps)
-    density = 2.0 * np.abs(front + rear * late) ** 2 * REFERENCE_CYCLES_PER_M**2 * speed_mps / f**2
-    return float(np.trapezoid(density, f))
+    late = np.exp(-2j * np.pi * f * car.wheelbase_m / speed_mps)
+    left, right = response[:, 0] + late * response[:, 2], response[:, 1] + late * response[:, 3]
+    road = np.where(f < _MOST_CYCLES_PER_M * speed_mps, REFERENCE_CYCLES_PER_M**2 * speed_mps / f**2, 0.0)
+    return float(np.trapezoid((np.abs(left) ** 2 + np.abs(right) ** 2) * road, f))

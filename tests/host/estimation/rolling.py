@@ -1,7 +1,7 @@
 """A robot without its boards: the 14-DOF vehicle driven over terrain, seen through sensors with their noise.
 
 For estimators alone: no firmware, no wire, no daemon, so that a minute of driving costs seconds. The speed
-loops of the wheels are those of the emulated Roboteqs; attitude comes without the error of an attitude filter.
+loops of the wheels are those of the emulated Roboteqs; the attitude is without an attitude filter's error.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 TICK_S = 0.005
 ACCEL_NOISE_MPS2, ACCEL_STEP_MPS2, GYRO_NOISE_RADPS = 0.012, 0.01, 0.0015  # a BNO055 in its bandwidth
+AIM_PER_M = 0.3  # how sharply it steers back
 CURRENTS_EVERY = 16  # ticks between two readings of a Roboteq's currents
 
 
@@ -44,10 +45,12 @@ def roll(
     commanded: Callable[[float], tuple[float, float]],
     seed: int = 0,
     strokes: Callable[[float], Four] | None = None,
+    along_x: bool = False,
 ) -> Iterator[Tick]:
     """Yield a tick every 5 ms. `commanded(time_s)` is (speed in m/s, yaw rate in rad/s), taken as it is.
 
-    Strokes stand in the middle, or where `strokes(time_s)` puts them.
+    Strokes stand in the middle, or where `strokes(time_s)` puts them. `along_x` steers back to the x axis: a
+    road has its two tracks there.
     """
     random = np.random.default_rng(seed)
     vehicle, motor = robot.vehicle, MotorCurrent()
@@ -66,6 +69,9 @@ def roll(
     for tick in range(round(scenario.duration_s / TICK_S)):
         now_s = tick * TICK_S
         speed, yaw_rate = commanded(now_s)
+        if along_x:
+            aside = body.motion().position_m[1]
+            yaw_rate -= speed * (AIM_PER_M * (body.attitude_rad[2] + AIM_PER_M * aside))
         left, right = ((speed - yaw_rate * y) * rpm_per_mps for y in (half_track, -half_track))
         stroke, lift = pose(now_s)
         body.advance((0.0, 0.0), lift, (left, right, left, right))
