@@ -28,6 +28,8 @@ STUDIES = {
     "force-limits": "Bumpy road with weak actuators: regulator beside predictive controller",
     "monte-carlo": "Robustness over seeds, roads, mass, springs, COM and delay",
     "shaking-plate": "The robot levels itself on the shaking plate (Figures 4.10, 4.11)",
+    "loose-slope": "Up a loose slope, passive and active (Figures 4.13 to 4.15)",
+    "uneven-terrain": "Driving over uneven terrain, strokes held and body levelled (Figure 4.12)",
 }
 
 app = typer.Typer(no_args_is_help=True, help="Run an experiment of the dissertation again.")
