@@ -38,6 +38,8 @@ TRIAL, BRIEF, THOROUGH = 3, 12, 60
 """Iterations to judge a mode by its absence, to settle between orders, and to finish."""
 SPREAD_LIMIT = 3.0
 """Standard deviations of the cost above its mean at which a start counts as failed."""
+SAME = 1e-3
+"""Relative difference below which two starts have found the same fit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,17 +64,18 @@ class Fit:
 def build(data: FrfData, order: int | None = None, iterations: int = THOROUGH) -> IdentifiedModel:
     """Identify a stable model; order None chooses among CANDIDATES by the Bayesian information criterion.
 
-    Where the residual is larger than the measured variances explain, a mode was missed, and the fit starts
-    again from another number of poles.
+    Where the residual is larger than the measured variances explain, a mode may have been missed, and the
+    fit starts again from another number of poles, until the noise explains it or two starts agree.
     """
     orders = CANDIDATES if order is None else (order,)
     best: tuple[float, Fit, Array] | None = None
     for poles in START_POLES:
         found = _descend(data, max(poles, max(orders) + SPARE), orders, iterations)
+        confirmed = best is not None and abs(found[0] - best[0]) <= SAME * abs(best[0])
         if best is None or found[0] < best[0]:
             best = found
         inside = len(orders) == 1 or 2 * len(best[1].blocks) < max(orders)
-        if inside and best[1].cost <= _explained(data, 2 * len(best[1].blocks)):
+        if confirmed or (inside and best[1].cost <= _explained(data, 2 * len(best[1].blocks))):
             break
     assert best is not None
     return _identified(data, best[1], best[2])
