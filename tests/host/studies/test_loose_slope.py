@@ -100,7 +100,7 @@ def test_the_figures_are_drawn(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     from tiger.studies.report import Report
 
-    one = ride(end_s=3.0)
+    one = ride(end_s=0.8)
     series = {
         f"{name}_{key}": values
         for name in ("passive", "active")
