@@ -164,7 +164,7 @@ class StabilityConfig(_Section):
     brake_min_mps2: Positive
     crawl_mps: Positive
     foresight_s: Positive
-    trend_s: Positive
+    trend_m: Positive
     load_sigma_kg: Positive
     load_sigma_m: Positive
     smooth_s: Positive

@@ -49,7 +49,7 @@ class LimiterDesign:
     crawl_mps: float
     crawl_radps: float
     foresight_s: float
-    trend_s: float
+    trend_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +60,8 @@ class LimiterState:
     """Commanded, within the accelerations."""
     used: float = 0.0
     """How much of the way to the nearest edge the slope takes at rest (1: all)."""
-    trend_per_s: float = 0.0
-    """How fast that grows."""
-    worse: int = 0
-    """Direction of travel in which it grew when it last did: 1 forward, -1 backward."""
+    per_m: float = 0.0
+    """How much that grows with every metre forward."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +87,7 @@ def design_limiter(robot: RobotConfig) -> LimiterDesign:
         crawl_mps=config.crawl_mps,
         crawl_radps=config.crawl_mps / robot.vehicle.body.half_track_m,
         foresight_s=config.foresight_s,
-        trend_s=config.trend_s,
+        trend_m=config.trend_m,
     )
 
 
@@ -185,19 +183,22 @@ def step(
 
     # The slope: stop before it takes too much, go back, turn only where it takes less.
     brake = max(min(ground.bound(FRONT, share), ground.bound(REAR, share)), design.brake_min_mps2)
-    used, trend, worse = _trend(design, state, ground.used(), moving_mps, dt)
-    ahead = max(used, used + trend * design.foresight_s)
+    used, per_m = ground.used(), state.per_m
+    travel = moving_mps * dt
+    if state.used and abs(moving_mps) > 0.5 * design.crawl_mps and state.used < share:
+        per_m += (copysign(used - state.used, (used - state.used) * moving_mps) - abs(travel) * per_m) / (
+            design.trend_m
+        )
+    growth = per_m if speed > 0.0 else -per_m
+    ahead = used + max(0.0, growth) * abs(moving_mps) * design.foresight_s
     if ahead > share:
-        worsens = worse == 0 or speed * worse > 0.0
-        crawl = 0.0 if worsens and worse else design.crawl_mps
-        if abs(speed) > crawl:
-            speed, limited, cause = copysign(crawl, speed), limited | SPEED, LimitCause.SLOPE
-    elif trend > 0.0 and speed * worse > 0.0 and abs(moving_mps) > design.crawl_mps:
-        per_m = trend / abs(moving_mps)
-        stopping = sqrt(min(design.acceleration_mps2, brake) * (share - ahead) / per_m)  # half the braking
-        if abs(speed) > max(stopping, design.crawl_mps):
-            speed = copysign(max(stopping, design.crawl_mps), speed)
-            limited, cause = limited | SPEED, LimitCause.SLOPE
+        slowest = 0.0 if growth > 0.0 else design.crawl_mps
+    elif growth > 0.0:  # with half the braking it stops before the bound
+        slowest = sqrt(min(design.acceleration_mps2, brake) * (share - ahead) / growth)
+    else:
+        slowest = inf
+    if abs(speed) > slowest:
+        speed, limited, cause = copysign(slowest, speed), limited | SPEED, LimitCause.SLOPE
     turned = _turn(design, ground, used, yaw)
     if turned != yaw:
         yaw, limited, cause = turned, limited | CURVATURE, LimitCause.SLOPE
@@ -210,24 +211,10 @@ def step(
     if forced and slewed != speed:
         speed, limited = slewed, limited | ACCELERATION
         cause = cause or LimitCause.BRAKING
-    known = LimiterState(slewed, used, trend, worse)
+    known = LimiterState(slewed, used, per_m)
     if not asked_speed and not asked_yaw and not limited & ACCELERATION:
         limited, cause = 0, LimitCause.NOTHING
     return known, Allowed(speed, yaw, limited, cause, would_tip or used > 1.0)
-
-
-def _trend(
-    design: LimiterDesign, state: LimiterState, used: float, moving_mps: float, dt: float
-) -> tuple[float, float, int]:
-    """Follow how much the slope takes, how fast that grows, and in which direction of travel it does."""
-    if not dt or not state.used:
-        return used, state.trend_per_s, state.worse
-    gain = min(1.0, dt / design.trend_s)
-    trend = state.trend_per_s + gain * ((used - state.used) / dt - state.trend_per_s)
-    worse = state.worse
-    if abs(moving_mps) > 0.5 * design.crawl_mps and abs(trend) > 0.01:
-        worse = 1 if trend * moving_mps > 0.0 else -1
-    return used, trend, worse
 
 
 def _turn(design: LimiterDesign, ground: Footing, used: float, yaw: float) -> float:

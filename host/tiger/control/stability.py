@@ -233,8 +233,8 @@ def _sampled(
 def stance_of(design: StabilityDesign, loads: Loads, stroke_mm: Four) -> Stance:
     """Return COM and support polygon with the present load on the present strokes.
 
-    The load sags the springs, the strokes lift the body and move the wheels sideways as the mechanism does. What
-    the estimator is not sure of yet is not taken up, nor is a COM lower than the vehicle's file has it.
+    The load sags the springs, the strokes lift the body and move the wheels sideways as the mechanism does.
+    What the estimator is not sure of is not taken up, nor is a COM lower than the vehicle's file has it.
     """
     config, wheels = design.config, design.wheels_mass_kg
     more = max(0.0, loads.mass_kg - wheels - design.body_mass_kg)
