@@ -86,9 +86,9 @@ A scenario is a TOML file, loaded by the name of one that comes with the package
     frequency_hz = 0.05
     phase_deg = 0.0           # 0: starts going up; at the end the angle returns to where it stood
 
-    [[fault]]                 # reserved: planned failures, carried out by the emulated robot
+    [[fault]]                 # a planned failure; docs/scenarios.md lists targets and kinds
     at_s = 10.0
-    target = "mega_suspension"
+    target = "suspension"
     kind = "silence"
     for_s = 1.0               # left out: for good
     value = 0.0               # what the kind needs, if anything
@@ -272,7 +272,7 @@ class RouteConfig(_Section):
 
 
 class FaultEvent(_Section):
-    """A planned failure; the emulated robot knows the targets and kinds."""
+    """A planned failure; `emulation.faults` knows the targets and kinds."""
 
     at_s: NonNegative
     target: str
