@@ -198,15 +198,6 @@ class ContactConfig(_Section):
     track_fade_deg: Positive
 
 
-class ForesightConfig(_Section):
-    """Planning over ground that is too fast for the actuators."""
-
-    step_s: Annotated[float, Field(ge=0.02, le=0.2, strict=True)]
-    period_s: Annotated[float, Field(ge=0.02, le=0.2, strict=True)]
-    goes_on_m: Positive
-    slowest_mps: Positive
-
-
 class BalanceConfig(_Section):
     """Mode `balance`."""
 
@@ -362,7 +353,6 @@ class RobotConfig(_Section):
     loop: LoopConfig
     observer: ObserverConfig
     leveling: LevelingConfig
-    foresight: ForesightConfig
     contact: ContactConfig
     balance: BalanceConfig
     loads: LoadsConfig
