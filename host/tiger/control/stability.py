@@ -8,7 +8,7 @@ the present strokes. `stability.limiter` = "log" does all of it but leaves the c
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import atan2, exp, inf, sqrt
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ from tiger.control.trip import TripState
 from tiger.models.eam import Eam
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
 from tiger.record import LimitCause, Stability
+from tiger.replace import replace
 
 if TYPE_CHECKING:
     from tiger.config.robot import RobotConfig, StabilityConfig

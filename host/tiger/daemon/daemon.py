@@ -10,7 +10,6 @@ It has no clock and no thread of its own: `loop.py` runs it in real time, the ri
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from tiger.daemon import limits, supervisor, wheel_check
@@ -60,6 +59,7 @@ from tiger.record import (
     StrokeSample,
     WheelSample,
 )
+from tiger.replace import replace
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from tiger.estimation import contact, odometry, roughness, wheel_loads
@@ -11,6 +11,7 @@ from tiger.estimation.odometry import OdometryDesign, OdometryState
 from tiger.estimation.roughness import RoughnessDesign, RoughnessState
 from tiger.estimation.wheel_loads import LoadsDesign, LoadsState
 from tiger.record import Loads
+from tiger.replace import replace
 
 if TYPE_CHECKING:
     from tiger.config.robot import RobotConfig

@@ -23,8 +23,9 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from tiger.emulation.cable import LineNoise, NoisyLine
 
@@ -141,7 +142,6 @@ class Roboteq:
             n = data.find(b"\r", 0, n) + 1 or n  # a line at a time
             if n < len(data):
                 self._incoming.appendleft((first_ns + n * BYTE_NS, data[n:]))
-            self._advance(first_ns + (n - 1) * BYTE_NS)
             self._hear(data[:n], first_ns)
         self._advance(end_ns)
 
@@ -211,6 +211,7 @@ class Roboteq:
             self._line = line[: LINE_LIMIT + 1]  # one more marks the overflow
             return
         self._line = b""
+        self._advance(first_ns + (len(data) - 1) * BYTE_NS)
         line = line[:-1]
         if not line.strip():
             return
@@ -221,25 +222,21 @@ class Roboteq:
 
     def _obey(self, line: bytes) -> str:
         """Carry out one line and return its answer."""
-        if len(line) > LINE_LIMIT or not line.isascii():
-            raise Refused
-        text = line.decode("ascii").strip()
-        words = text[1:].upper().split()
-        if not words:
-            raise Refused
-        kinds: dict[str, Callable[[str, list[int]], str]] = {
-            "!": self._command,
-            "?": self._query,
-            "^": self._set,
-            "~": self._get,
-            "%": self._maintain,
-        }
-        kind = kinds.get(text[0])
-        if kind is None:
-            raise Refused
-        return kind(words[0], [_integer(word) for word in words[1:]])
+        kind, name, numbers = _parsed(line)
+        match kind:
+            case "!":
+                return self._command(name, numbers)
+            case "?":
+                return self._query(name, numbers)
+            case "^":
+                return self._set(name, numbers)
+            case "~":
+                return self._get(name, numbers)
+            case "%":
+                return self._maintain(name, numbers)
+        raise Refused
 
-    def _command(self, name: str, numbers: list[int]) -> str:
+    def _command(self, name: str, numbers: tuple[int, ...]) -> str:
         if name == "G":
             channel, power = _channel_and(numbers, most=1000)
             self._command_rpm[channel] = power / 1000.0 * self._settings["MXRPM"][channel]
@@ -265,7 +262,7 @@ class Roboteq:
         self._watchdog_due_ns = self._now_ns + timeout_ms * 1_000_000 if timeout_ms else None
         return "+"
 
-    def _query(self, name: str, numbers: list[int]) -> str:
+    def _query(self, name: str, numbers: tuple[int, ...]) -> str:
         if name == "FID":
             return f"FID={FIRMWARE_ID}"
         values = self._measured(name)
@@ -304,7 +301,7 @@ class Roboteq:
             return list(self.motor_flags)
         raise Refused
 
-    def _set(self, name: str, numbers: list[int]) -> str:
+    def _set(self, name: str, numbers: tuple[int, ...]) -> str:
         setting = SETTINGS.get(name)
         if setting is None:
             raise Refused
@@ -323,7 +320,7 @@ class Roboteq:
             self._watchdog_due_ns = None
         return "+"
 
-    def _get(self, name: str, numbers: list[int]) -> str:
+    def _get(self, name: str, numbers: tuple[int, ...]) -> str:
         values = self._settings.get(name)
         if values is None or len(numbers) > 1:
             raise Refused
@@ -333,7 +330,7 @@ class Roboteq:
             values = values[numbers[0] - 1 : numbers[0]]
         return f"{name}={':'.join(map(str, values))}"
 
-    def _maintain(self, name: str, numbers: list[int]) -> str:
+    def _maintain(self, name: str, numbers: tuple[int, ...]) -> str:
         if name != "EESAV" or numbers:
             raise Refused
         self._saved = {key: list(values) for key, values in self._settings.items()}
@@ -344,6 +341,18 @@ def _queue(wire: deque[tuple[int, bytes]], data: bytes, after_ns: int) -> int:
     """Put bytes on a wire that is free from a time on; return when the last one's stop bit is over."""
     wire.append((after_ns + BYTE_NS, data))
     return after_ns + len(data) * BYTE_NS
+
+
+@lru_cache(maxsize=256)
+def _parsed(line: bytes) -> tuple[str, str, tuple[int, ...]]:
+    """Kind, name and numbers of a line; a host says the same few again and again."""
+    if len(line) > LINE_LIMIT or not line.isascii():
+        raise Refused
+    text = line.decode("ascii").strip()
+    words = text[1:].upper().split()
+    if not words:
+        raise Refused
+    return text[0], words[0], tuple(_integer(word) for word in words[1:])
 
 
 def _integer(word: str) -> int:
@@ -358,7 +367,7 @@ def _channel(number: int) -> int:
     return number - 1
 
 
-def _channel_and(numbers: list[int], most: int) -> tuple[int, int]:
+def _channel_and(numbers: tuple[int, ...], most: int) -> tuple[int, int]:
     """Take (channel, value); a dual-channel unit wants both."""
     if len(numbers) != 2 or abs(numbers[1]) > most:
         raise Refused
