@@ -11,6 +11,7 @@ from math import cos, pi, sin
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import pytest
 
 from tiger.emulation.vehicle_body import VehicleBody
 from tiger.models.eam import Eam
@@ -39,7 +40,13 @@ class Tick(NamedTuple):
     attitude_rad: tuple[float, float, float]
 
 
-def roll(
+@pytest.fixture(scope="session")
+def roll() -> Callable[..., Iterator[Tick]]:
+    """Return `rolling`."""
+    return rolling
+
+
+def rolling(
     robot: RobotConfig,
     scenario: Scenario,
     commanded: Callable[[float], tuple[float, float]],
