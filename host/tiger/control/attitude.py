@@ -230,7 +230,7 @@ def _pressing(
     design: LevelingDesign,
     error: tuple[float, float],
     turning_radps: tuple[float, float],
-    twisting_mmps: float,
+    twisting_mmps: float = 0.0,
 ) -> tuple[float, float]:
     """Roll and pitch error, without one inside the dead zone while the actuators are busy with the other, or
     with a twist."""
