@@ -39,7 +39,8 @@ def held(
         speed += a * DT
         turning = yaw_rate_radps if index else 0.0
         force = (a - G * pitch_rad, speed * turning + G * roll_rad, G)
-        state = tilt_aiding.step(state, force, (0.0, turning * np.sin(roll_rad), turning), wheels(speed), slipping, 1.0, DT)
+        rates = 0.0, turning * np.sin(roll_rad), turning
+        state = tilt_aiding.step(state, force, rates, wheels(speed), slipping, 1.0, DT)
     return state
 
 
