@@ -108,6 +108,8 @@ def step(design: TrackDesign, state: TrackState, estimate: Estimate) -> TrackSta
     measured = design.half_track_mm * estimate.plate_roll_rad
     if forwards != state.forwards:
         x = np.concatenate([x[_STEPS::-1], [0.0]])
+    if known == 0.0:  # as far as anyone knows, the ground between the axles is even
+        x = np.concatenate([np.full(_STEPS + 1, measured), [0.0]])
     fade = math.exp(-abs(math.remainder(where.yaw_rad - state.yaw_rad, math.tau)) / design.fade_rad)
     x = np.concatenate([measured + fade * (x[:-1] - measured), x[-1:]])
     known *= fade
