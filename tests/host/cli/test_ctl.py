@@ -76,7 +76,7 @@ def test_modes_poses_and_heights_reach_the_daemon(disarmed: Any) -> None:
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (("mode", "jump"), "Input should be 'hold', 'level', 'pose' or 'stow'"),
+        (("mode", "jump"), "Input should be 'hold', 'level', 'balance', 'pose' or 'stow'"),
         (("pose", "--roll", "40"), "(leveling.max_angle_deg)"),
         (("height", "500"), "ride_stroke_mm = 500 is outside 1.5 to 68.5"),
         (("drive", "--speed", "0.2"), "Arm it first."),
