@@ -34,7 +34,9 @@ if TYPE_CHECKING:
 
 BAND_DEG = 0.5
 """Levelled means within this."""
-STEP_AT_S, BACK_AT_S, HARMONIC_AT_S = 6.0, 14.0, 22.0
+NUDGE_DEG = 0.19
+"""A disturbance that should move nothing once the body is level, as far as the IMU can tell."""
+STEP_AT_S, BACK_AT_S, NUDGE_AT_S, NUDGE_BACK_AT_S, HARMONIC_AT_S = 6.0, 14.0, 22.0, 24.5, 27.0
 REST_S = 3.0
 """At the end of each step: the body should be level and quiet."""
 RISE_S = 0.3
@@ -55,7 +57,7 @@ def run(
     seed: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> Report:
-    """Step the plate by `step_deg` and back, then rock it; "roll" or "pitch".
+    """Step the plate by `step_deg` and back, nudge it, then rock it; "roll" or "pitch".
 
     Above the frequency that the actuators can follow, the residual counts after five more periods, in which
     the rhythm is learned. Raises ValueError for another axis, or when the robot does not arm.
@@ -79,6 +81,8 @@ def run(
             for segment in (
                 {"at_s": STEP_AT_S, "to_deg": step_deg, "over_s": RISE_S},
                 {"at_s": BACK_AT_S, "to_deg": 0.0, "over_s": RISE_S},
+                {"at_s": NUDGE_AT_S, "to_deg": NUDGE_DEG, "over_s": RISE_S},
+                {"at_s": NUDGE_BACK_AT_S, "to_deg": 0.0, "over_s": RISE_S},
                 {"at_s": HARMONIC_AT_S, "amplitude_deg": amplitude_deg, "frequency_hz": frequency_hz},
             )
         ),
@@ -87,6 +91,7 @@ def run(
     rows = [
         *_step_rows("step", series, STEP_AT_S, _bound_s(design.suspension, axis, step_deg, 0.0)),
         *_step_rows("step back", series, BACK_AT_S, _bound_s(design.suspension, axis, 0.0, step_deg)),
+        _nudge_row(series),
         *_harmonic_rows(series, axis, counted_s, amplitude_deg, overspeed),
     ]
     assumptions = {
@@ -136,6 +141,22 @@ def _bound_s(suspension: Suspension, axis: str, to_deg: float, from_deg: float) 
     return rate_bound_s(suspension, (fl, fr, rl, rr), *((turn, 0.0) if axis == "roll" else (0.0, turn)))
 
 
+def _nudge_row(series: Mapping[str, Array]) -> Row:
+    here = (series["time_s"] >= NUDGE_AT_S) & (series["time_s"] < HARMONIC_AT_S)
+    largest = float(np.abs(series["duty_permille"][here]).max())
+    return Row(f"disturbance of {NUDGE_DEG:g} degrees: largest PWM", largest, "permille")
+
+
+def _motion_rows(name: str, series: Mapping[str, Array], here: NDArray[np.bool_]) -> list[Row]:
+    """What the upper half of each figure shows: strokes and their rates."""
+    strokes, rates = series["stroke_mm"][here], series["stroke_rate_mmps"][here]
+    return [
+        Row(f"{name}: shortest stroke", float(strokes.min()), "mm"),
+        Row(f"{name}: longest stroke", float(strokes.max()), "mm"),
+        Row(f"{name}: fastest stroke rate", float(np.abs(rates).max()), "mm/s"),
+    ]
+
+
 def _step_rows(name: str, series: Mapping[str, Array], at_s: float, bound_s: float) -> list[Row]:
     time = series["time_s"]
     here = (time >= at_s) & (time < at_s + BACK_AT_S - STEP_AT_S)
@@ -156,6 +177,7 @@ def _step_rows(name: str, series: Mapping[str, Array], at_s: float, bound_s: flo
         Row(f"{name}: beyond level", max(beyond, 0.0), "deg"),
         Row(f"{name}: mean error at rest", float(np.abs(attitude[resting].mean(axis=0)).max()), "deg"),
         Row(f"{name}: last PWM after", float(since[driven][-1]) if driven.any() else 0.0, "s"),
+        *_motion_rows(name, series, here),
     ]
 
 
@@ -164,6 +186,8 @@ def _harmonic_rows(
 ) -> list[Row]:
     late = series["time_s"] >= from_s
     residual = series[f"{axis}_deg"][late]
+    half = len(residual) // 2
+    drift = float(residual[half:].mean() - residual[:half].mean())
     residual = residual - residual.mean()
     share = float(np.sqrt(np.mean(residual**2)) / (amplitude_deg / math.sqrt(2.0)))
     rows = [
@@ -171,6 +195,8 @@ def _harmonic_rows(
         Row("harmonic: residual RMS", float(np.sqrt(np.mean(residual**2))), "deg"),
         Row("harmonic: residual peak", float(np.abs(residual).max()), "deg"),
         Row("harmonic: residual share", share, "-"),
+        Row("harmonic: mean error, later half less earlier", drift, "deg"),
+        *_motion_rows("harmonic", series, late),
     ]
     if overspeed > 1.0:
         rows.append(Row("harmonic: over the least residual", share / _least_share(overspeed), "-"))
@@ -195,7 +221,7 @@ def plot(report: Report, directory: Path) -> list[Path]:
     directory.mkdir(parents=True, exist_ok=True)
     series = {name: np.asarray(values) for name, values in report.series.items()}
     spans = {
-        "shaking-plate-step.png": (STEP_AT_S - 2.0, HARMONIC_AT_S),
+        "shaking-plate-step.png": (STEP_AT_S - 2.0, NUDGE_AT_S),
         "shaking-plate-harmonic.png": (HARMONIC_AT_S, float(series["time_s"][-1])),
     }
     paths = []

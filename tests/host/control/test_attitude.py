@@ -195,7 +195,7 @@ def moves(target: Target, seconds: float = 2.0) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("error_deg", "expected"), [(0.0, False), (0.19, False), (0.24, False), (0.26, True), (-0.4, True)]
+    ("error_deg", "expected"), [(0.0, False), (0.19, False), (0.29, False), (0.31, True), (-0.4, True)]
 )
 def test_on_still_ground_the_dead_zone_decides(error_deg: float, expected: bool) -> None:
     assert moves(level_target(error_deg)) is expected
@@ -203,8 +203,8 @@ def test_on_still_ground_the_dead_zone_decides(error_deg: float, expected: bool)
 
 
 def test_on_turning_ground_it_moves_at_the_smaller_error() -> None:
-    assert moves(level_target(0.22, roll_rate_radps=math.radians(0.3)))
-    assert not moves(level_target(0.19, roll_rate_radps=math.radians(0.3)))
+    assert moves(level_target(0.29, roll_rate_radps=math.radians(0.3)))
+    assert not moves(level_target(0.26, roll_rate_radps=math.radians(0.3)))
 
 
 def test_a_large_error_wakes_it_within_two_hundredths_of_a_second() -> None:

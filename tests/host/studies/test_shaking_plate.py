@@ -30,9 +30,25 @@ def test_each_step_is_levelled_in_time_and_stays_level(report: Report, step: str
     assert value(report, f"{step}: mean error at rest") <= 0.3
 
 
+def test_a_disturbance_of_less_than_two_tenths_of_a_degree_gives_no_pwm(report: Report) -> None:
+    assert value(report, "disturbance of 0.19 degrees: largest PWM") == 0.0
+
+
+def test_strokes_and_rates_stay_within_the_actuators(report: Report) -> None:
+    for name in ("step", "step back", "harmonic"):
+        assert (
+            1.0
+            <= value(report, f"{name}: shortest stroke")
+            < value(report, f"{name}: longest stroke")
+            <= 69.0
+        )
+        assert 0.0 < value(report, f"{name}: fastest stroke rate") <= 9.4 * 1.001
+
+
 def test_a_harmonic_that_can_be_followed_leaves_little(report: Report) -> None:
     assert value(report, "harmonic: top rate over the actuators'") < 1.0
     assert value(report, "harmonic: residual RMS") <= 0.1
+    assert abs(value(report, "harmonic: mean error, later half less earlier")) <= 0.1
 
 
 def test_the_figures_are_drawn(report: Report, tmp_path: Path) -> None:
