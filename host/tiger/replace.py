@@ -21,11 +21,12 @@ def replace(record: _Record, **changes: Any) -> _Record:
 
     Raises TypeError for a field that it does not have.
     """
-    copy, setters = _tools(type(record))
+    kind: Any = type(record)
+    copy, setters = _tools(kind)
     changed: _Record = copy(record)
     for name, value in changes.items():
         if name not in setters:
-            raise TypeError(f"{type(record).__name__} has no field {name!r}")
+            raise TypeError(f"{kind.__name__} has no field {name!r}")
         setters[name](changed, value)
     return changed
 

@@ -34,6 +34,7 @@ BAUD = 115200
 BYTE_NS = 10 * 1_000_000_000 // BAUD
 LINE_LIMIT = 64
 STILL = [0.0] * CHANNELS
+NO_FLAGS = [0] * CHANNELS
 
 FF_EMERGENCY_STOP = 16
 FF_DEFAULT_CONFIG = 128
@@ -168,7 +169,7 @@ class Roboteq:
                 ramp = self._settings["MDEC" if slowing else "MAC"][channel]
                 change = ramp * 0.1 * span_ns * 1e-9
                 self._motor_rpm[channel] = max(speed - change, min(speed + change, target))
-        if any(self.motor_flags):
+        if self.motor_flags != NO_FLAGS:
             for channel, target in enumerate(targets):
                 if target == 0.0:
                     self.motor_flags[channel] &= ~FM_CLEARED_AT_ZERO
@@ -178,7 +179,7 @@ class Roboteq:
     @property
     def stage_off(self) -> bool:
         """The power stage is off: e-stop or a fault."""
-        return bool(self._faults() & FF_STAGE_OFF)
+        return self._emergency or self.estop_input or self.fault_flags & FF_STAGE_OFF != 0
 
     @property
     def motor_rpm(self) -> tuple[float, float]:

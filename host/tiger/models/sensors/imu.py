@@ -204,17 +204,14 @@ class Triad:
             self._noise = iter(block.tolist())
             noise = next(self._noise)
         # Plain floats: on three of them numpy takes four times as long.
-        x, y, z = (
-            self._digitised(truth + bias + error)
-            for truth, bias, error in zip(self.state.tolist(), self.bias.tolist(), noise, strict=True)
-        )
+        step, limit, reading = spec.step, spec.limit, []
+        for truth, bias, error in zip(self.state.tolist(), self.bias.tolist(), noise, strict=True):
+            value = truth + bias + error
+            if step > 0.0:
+                value = round(value / step) * step
+            reading.append(limit if value > limit else -limit if value < -limit else value)
+        x, y, z = reading
         return x, y, z
-
-    def _digitised(self, value: float) -> float:
-        step, limit = self._spec.step, self._spec.limit
-        if step > 0.0:
-            value = round(value / step) * step
-        return limit if value > limit else -limit if value < -limit else value
 
 
 class Imu:
