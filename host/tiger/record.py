@@ -202,6 +202,7 @@ class Traction:
     electric_w: Four = STILL  # battery voltage times battery current
     friction_use: Four = STILL  # force over load
     friction: float = 0.0  # the most of it there is, as far as known
+    grip: Four = STILL  # share of load times friction that each wheel is trusted with
     trim_rpm: Four = STILL  # added to the wheel speeds
 
 

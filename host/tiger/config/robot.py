@@ -142,6 +142,7 @@ class TractionConfig(_Section):
     share: Literal["load", "equal"]
     friction: Positive
     friction_gain_per_s: NonNegative
+    trust_per_s: NonNegative
     min_load_n: Positive
     torque_share_max: Annotated[float, Field(gt=0.0, le=1.0, strict=True)]
     battery_power_w: Positive

@@ -19,8 +19,9 @@ sideways force is known, so the ellipse is an interval for f_i. `share = "equal"
 which makes of each side an open differential.
 
 What a wheel slips beyond its limit the same integral takes back, and no trim drives a wheel out of its slip
-limits: a host that stops here leaves four bounded, steady speeds. The friction is the config's, raised to
-what wheels that hold have shown to use and lowered to what is left to wheels that slip.
+limits: a host that stops here leaves four bounded, steady speeds. A wheel that slips too much has no more
+grip than it pulls with, whatever load and friction say: its share goes to the others until it is trusted
+again. The friction is the config's, raised to what wheels that hold have shown to use.
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ _DRAG_SPEED_RADPS = 0.5  # the motor's own friction is all there from here on
 _FORCE_UNIT_N = 100.0  # numbers of the programme are near one
 _WEIGHT = 1e4  # of the demand, over the cost of slip
 _SNAP_RPM = 0.05  # a trim below this is none
-_LEAST_SHARE = 0.5  # of the config's friction, however much the wheels slip
+_LEAST_GRIP = 0.02  # of what load and friction promise, however much a wheel slips
+_FULL_GRIP: Four = (1.0, 1.0, 1.0, 1.0)
 _TELLING_LOAD = 0.5  # of the mean one: below, a wheel's use of friction is mostly noise
 
 
@@ -79,6 +81,7 @@ class TractionState:
 
     ticks: int = 0  # since the last update
     friction: float = 0.0  # over the config's
+    grip: Four = _FULL_GRIP  # of what load and friction promise
     last: Traction = field(default_factory=Traction)
 
 
@@ -88,7 +91,7 @@ class Task:
 
     pull_n: float
     moment_nm: float  # + turns left
-    load_n: Four
+    load_n: Four  # as far as it gives grip
     friction: float
     side_use: float  # sideways force over load, the same for all
     speed_mps: Four  # of the wheels' rims
@@ -137,7 +140,7 @@ def step(
     if design.config.mode == "off" or inputs.drive_left is None or inputs.drive_right is None:
         return state, state.last, wheel_rpm
     if state.ticks + 1 < design.ticks_per_update:
-        state = TractionState(state.ticks + 1, state.friction, state.last)
+        state = TractionState(state.ticks + 1, state.friction, state.grip, state.last)
     else:
         state = _update(design, state, wheel_rpm, inputs, estimate, dt * design.ticks_per_update)
     return state, state.last, _trimmed(design, wheel_rpm, state.last.trim_rpm)
@@ -165,8 +168,11 @@ def _update(
             for rpm, slow, fast in zip(turning_rpm, slow_rpm, fast_rpm, strict=True)
         ]
     )
-    friction = _learn_friction(config, state.friction, use, load_n, beyond_rpm, dt)
-    task = task_of(design, pull_n, speed_radps, load_n, config.friction + friction, estimate)
+    above = _learn_friction(config, state.friction, use, load_n, beyond_rpm, dt)
+    friction = config.friction + above
+    grip = _learn_grip(config, state.grip, use, friction, beyond_rpm, dt)
+    gripping_n = _four([share * load for share, load in zip(grip, load_n, strict=True)])
+    task = task_of(design, pull_n, speed_radps, gripping_n, friction, estimate)
     force_n = allocate(design, task)
     trim_rpm = STILL
     if config.mode == "on":
@@ -179,10 +185,11 @@ def _update(
         power_w=_four([torque * speed for torque, speed in zip(torque_nm, speed_radps, strict=True)]),
         electric_w=electric_w(inputs),
         friction_use=use,
-        friction=task.friction,
+        friction=friction,
+        grip=grip,
         trim_rpm=trim_rpm,
     )
-    return TractionState(0, friction, last)
+    return TractionState(0, above, grip, last)
 
 
 # ---- what is measured
@@ -238,21 +245,29 @@ def _sideways_mps2(estimate: Estimate) -> float:
 def _learn_friction(
     config: TractionConfig, above: float, use: Four, load_n: Four, beyond_rpm: Four, dt: float
 ) -> float:
-    """What the friction has over the config's: shown by wheels that hold, refuted by wheels that slip."""
+    """What wheels that hold show the friction to have over the config's; without a new proof it fades."""
     telling = _TELLING_LOAD * 0.25 * sum(load_n)
-    shown = left = 0.0
-    for used, load, beyond in zip(use, load_n, beyond_rpm, strict=True):
-        if load > telling and beyond == 0.0:
-            shown = max(shown, abs(used))
-        elif load > telling:
-            left = max(left, abs(used))
-    goal, gain = 0.0, config.forget_per_s
-    if left > 0.0:
-        goal, gain = max(left, _LEAST_SHARE * config.friction) - config.friction, config.friction_gain_per_s
-        goal = min(goal, above)
-    elif shown - config.friction > max(above, 0.0):
-        goal, gain = shown - config.friction, config.friction_gain_per_s
-    return above + min(1.0, gain * dt) * (goal - above)
+    shown = max(
+        abs(used) if load > telling and beyond == 0.0 else 0.0
+        for used, load, beyond in zip(use, load_n, beyond_rpm, strict=True)
+    )
+    if shown - config.friction > above:
+        return above + min(1.0, config.friction_gain_per_s * dt) * (shown - config.friction - above)
+    return above * max(0.0, 1.0 - config.forget_per_s * dt)
+
+
+def _learn_grip(
+    config: TractionConfig, grip: Four, use: Four, friction: float, beyond_rpm: Four, dt: float
+) -> Four:
+    """Of what load and friction promise, the share that each wheel has: all, less what slip has refuted."""
+    learned = []
+    for share, used, beyond in zip(grip, use, beyond_rpm, strict=True):
+        if used * beyond > 0.0:
+            has = min(share, max(abs(used) / friction, _LEAST_GRIP))
+            learned.append(share + min(1.0, config.friction_gain_per_s * dt) * (has - share))
+        else:
+            learned.append(share + min(1.0, config.trust_per_s * dt) * (1.0 - share))
+    return _four(learned)
 
 
 # ---- sharing out
@@ -330,8 +345,8 @@ def _in_proportion(design: TractionDesign, task: Task, most_n: Four) -> Four:
 def slip_limits_rpm(design: TractionDesign, turning_rpm: Four, estimate: Estimate) -> tuple[Four, Four]:
     """Slowest and fastest that each wheel should turn at the body's speed and yaw rate.
 
-    Slip that all four wheels have is what this ground takes, and the drive's to decide: the speed that
-    `slip_max` is a share of is that of the slowest wheel where it is faster than the body.
+    Slip that all four wheels have is what this ground takes, and the drive's to decide: the limit counts from
+    the slowest wheel where that is faster than the body.
     """
     config, odometry = design.config, estimate.odometry
     turning = odometry.yaw_rate_radps * design.half_track_m
@@ -340,7 +355,8 @@ def slip_limits_rpm(design: TractionDesign, turning_rpm: Four, estimate: Estimat
     slow, fast = [], []
     for side in _SIDE:
         speed = odometry.speed_mps - side * turning
-        spread = config.slip_max * max(abs(speed), slowest) + config.slip_margin_mps
+        held = max(abs(speed), slowest)
+        spread = held - abs(speed) + config.slip_max * held + config.slip_margin_mps
         slow.append((speed - spread) * rpm_per_mps)
         fast.append((speed + spread) * rpm_per_mps)
     return _four(slow), _four(fast)

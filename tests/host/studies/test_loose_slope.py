@@ -73,12 +73,15 @@ def test_a_place_that_is_not_reached_has_no_time() -> None:
     assert ride(end_s=5.0).when(TOP_M) is None
 
 
-def test_the_gentle_slope_is_the_same_hill_with_half_the_twist() -> None:
+def test_the_gentle_slope_is_the_same_hill_with_less_twist() -> None:
     hard = load_scenario(loose_slope.SCENARIO)
     easy = gentle(hard)
     assert easy.terrain.step == hard.terrain.step
-    assert [b.height_m for b in easy.terrain.bump] == [0.5 * b.height_m for b in hard.terrain.bump]
-    assert easy.initial_stroke_mm == (24.0, 46.0, 46.0, 24.0)
+    assert [b.height_m for b in easy.terrain.bump] == [
+        loose_slope.GENTLE * b.height_m for b in hard.terrain.bump
+    ]
+    less = 22.0 * loose_slope.GENTLE
+    assert easy.initial_stroke_mm == pytest.approx((35.0 - less, 35.0 + less, 35.0 + less, 35.0 - less))
 
 
 def test_passive_holds_its_strokes_and_does_not_limit_slip() -> None:
