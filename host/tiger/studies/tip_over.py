@@ -1,7 +1,7 @@
 """Randomised roll-overs of the whole robot: does the warning come in time, and does the limiter prevent them?
 
-TIGER itself slides before it tips on flat ground (`docs/stability.md`), so the body's COM is raised to 0.6 to
-0.9 m and the ground grips at 0.9 to 1.2. Four ways to tip, each through firmware, wire and daemon:
+TIGER itself slides before it tips on flat ground (`docs/stability.md`), so the body's COM is raised to 0.75 to
+1.1 m and the ground grips at 1.0 to 1.2. Four ways to tip, each through firmware, wire and daemon:
 
 - *turn*: a turn at 3-6 m/s, on level ground or across a slope of up to 10 degrees;
 - *slope*: a cross slope that grows while the robot drives along it;
@@ -22,6 +22,7 @@ import numpy as np
 
 from tiger.config.robot import RobotConfig, load_robot
 from tiger.config.vehicle import PayloadConfig
+from tiger.daemon.wheel_check import Phase, WheelCheck
 from tiger.emulation.ground import make_terrain
 from tiger.emulation.scenarios import BumpConfig, DriveEvent, Scenario, Start, StepConfig, TerrainConfig
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
@@ -39,8 +40,8 @@ KINDS: tuple[Kind, ...] = ("turn", "turn", "slope", "hill", "brake")
 MOTOR_NM = {"turn": 40.0, "slope": 25.0, "hill": 25.0, "brake": 25.0, "trip": 17.0}
 """TIGER's own 17 Nm are too weak to tip it: it turns too slowly at speed, and does not get up the hill."""
 
-ROLL_OFFS_S = 5.2
-"""Armed, and its wheels checked: from here on it drives."""
+ARMED_S = 3.8
+"""By now it is armed: drives begin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,18 +82,18 @@ def draw(kind: Kind, seed: int) -> Case:
     """Return one random case."""
     random = np.random.default_rng([seed, *kind.encode()])
     number = {
-        "com_m": random.uniform(0.6, 0.9),
+        "com_m": random.uniform(0.75, 1.1),
         "payload_kg": random.uniform(0.0, 30.0),
         "payload_up_m": random.uniform(0.2, 0.5),
         "payload_forward_m": random.uniform(-0.15, 0.15),
         "payload_left_m": random.uniform(-0.15, 0.15),
-        "friction": random.uniform(0.9, 1.2),
+        "friction": random.uniform(1.0, 1.2),
     }
     robot = _robot(kind, number)
     terrain, start, drive = _ground_and_drive(kind, number, random)
     scenario = Scenario(
         title=f"{kind} {seed}",
-        duration_s=12.0,
+        duration_s=11.0,
         friction=number["friction"],
         payload=_remainder(number["payload_kg"], random),
         start=start,
@@ -111,7 +112,7 @@ def _robot(kind: Kind, number: dict[str, float]) -> RobotConfig:
             "vehicle": loaded(robot.vehicle, number, MOTOR_NM[kind]),
             "drive": robot.drive.model_copy(
                 update={
-                    "max_speed_mps": 7.0,
+                    "max_speed_mps": 8.0,
                     "max_yaw_rate_degps": 120.0,
                     "acceleration_mps2": 2.5 if quick else 1.5,
                     "jerk_mps3": 15.0 if quick else 5.0,
@@ -129,7 +130,7 @@ def _robot(kind: Kind, number: dict[str, float]) -> RobotConfig:
 
 
 def loaded(vehicle: VehicleConfig, number: dict[str, float], motor_nm: float) -> VehicleConfig:
-    """Return the vehicle with its COM at `com_m`, a payload that counts as part of the body, and its motors."""
+    """Return the vehicle with its COM at `com_m`, a payload that counts as part of the body, and motors."""
     body, mass = vehicle.body, number["payload_kg"]
     share = mass / (body.mass_kg + mass)
     x, y, z = number["payload_forward_m"], number["payload_left_m"], number["payload_up_m"]
@@ -175,35 +176,35 @@ def _ground_and_drive(
         return tuple(DriveEvent(at_s=t, speed_mps=v, yaw_rate_degps=r) for t, v, r in steps)
 
     if kind == "turn":
-        speed = number["speed_mps"] = random.uniform(3.0, 6.0)
-        slope = number["slope_deg"] = random.uniform(0.0, 10.0)
-        lateral = number["lateral_mps2"] = random.uniform(5.0, 12.0)
+        speed = number["speed_mps"] = random.uniform(4.0, 7.0)
+        slope = number["slope_deg"] = random.uniform(0.0, 12.0)
+        lateral = number["lateral_mps2"] = random.uniform(5.0, 9.0)
         rate = math.degrees(lateral / speed) * side
-        turn_s = ROLL_OFFS_S + 0.5 + speed / 2.5
+        turn_s = ARMED_S + 0.5 + speed / 2.5
         # Turning to the left presses on the right wheels: the slope falls to the right.
         terrain = TerrainConfig(left_up_deg=slope * side)
-        return terrain, Start(), events((1.0, speed, 0.0), (turn_s, speed, rate))
+        return terrain, Start(), events((ARMED_S, speed, 0.0), (turn_s, speed, rate))
     if kind == "slope":
         speed = number["speed_mps"] = random.uniform(0.9, 1.5)
         twist = number["twist_deg_per_m"] = random.uniform(5.0, 9.0)
         start = Start(x_m=math.tan(math.radians(10.0)) / math.tan(math.radians(twist)))
-        return TerrainConfig(twist_deg_per_m=twist * side), start, events((1.0, speed, 0.0))
+        return TerrainConfig(twist_deg_per_m=twist * side), start, events((ARMED_S, speed, 0.0))
     if kind == "hill":
         speed = number["speed_mps"] = random.uniform(0.6, 1.2)
         height = number["height_m"] = random.uniform(1.8, 2.8)
         hill = BumpConfig(height_m=height, start_m=0.6, length_m=9.0)
-        return TerrainConfig(bump=(hill,)), Start(), events((1.0, speed, 0.0))
+        return TerrainConfig(bump=(hill,)), Start(), events((ARMED_S, speed, 0.0))
     if kind == "brake":
         speed = number["speed_mps"] = random.uniform(2.0, 4.0)
         slope = number["slope_deg"] = random.uniform(8.0, 16.0)
-        stop_s = ROLL_OFFS_S + 0.8 + speed / 2.5
-        return TerrainConfig(climb_deg=-slope), Start(), events((1.0, speed, 0.0), (stop_s, 0.0, 0.0))
+        stop_s = ARMED_S + 0.8 + speed / 2.5
+        return TerrainConfig(climb_deg=-slope), Start(), events((ARMED_S, speed, 0.0), (stop_s, 0.0, 0.0))
     speed = number["speed_mps"] = random.uniform(1.0, 3.0)
     height = number["height_m"] = random.uniform(0.06, 0.12)
     yaw = number["yaw_deg"] = random.uniform(-50.0, 50.0)
     start_m = 0.8 + 1.2 * speed * speed / 2.5 + 0.6 * speed
     curb = StepConfig(height_m=height, start_m=start_m, ramp_m=0.05)
-    return TerrainConfig(step=(curb,)), Start(yaw_deg=yaw), events((1.0, speed, 0.0))
+    return TerrainConfig(step=(curb,)), Start(yaw_deg=yaw), events((ARMED_S, speed, 0.0))
 
 
 def run(case: Case, limiter: str) -> Outcome:
@@ -221,8 +222,11 @@ def run(case: Case, limiter: str) -> Outcome:
     stopped = ""
     armed = False
     for record in rig.run(case.scenario.duration_s):
-        if rig.time_s < ROLL_OFFS_S - 0.3:
-            armed = record.state is DaemonState.ARMED
+        if rig.time_s < ARMED_S:
+            if record.state is DaemonState.ARMED and not armed:
+                armed = True
+                # These top-heavy robots rock so much that the check takes their ports for swapped.
+                rig.daemon._wheel_check = WheelCheck(Phase.PASSED)
             continue
         if record.state is not DaemonState.ARMED and armed and not stopped:
             stopped = "; ".join([record.reason, *map(str, rig.daemon.latched)])

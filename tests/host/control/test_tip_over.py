@@ -1,0 +1,146 @@
+"""Margin, load transfer and time to the balance point of a box on four wheels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from tiger.control import tip_over
+from tiger.control.tip_over import LEFT, Stance
+from tiger.models.full_car import GRAVITY_MPS2 as G
+
+RIGID = Stance(height_m=0.5, reach_m=(0.6, 0.6, 0.5, 0.5))
+STILL = (0.0, 0.0)
+
+
+def margin(stance: Stance, force: tuple[float, float, float], edge: int) -> float:
+    """Energy left to an edge, over the least at rest."""
+    reach, depth = tip_over.contacts(stance, STILL)[edge]
+    pushes, moments = tip_over.outward(stance, force, STILL)
+    _, energy = tip_over.force_angle(reach, depth, pushes[edge], moments[edge], force[2])
+    return energy / stance.least_energy
+
+
+def leaning(angle: float) -> tuple[float, float, float]:
+    """Reaction to gravity on a side slope, left side up."""
+    return 0.0, G * math.sin(angle), G * math.cos(angle)
+
+
+def test_at_rest_on_level_ground_the_margin_is_one() -> None:
+    margins = [margin(RIGID, (0.0, 0.0, G), edge) for edge in range(4)]
+    assert min(margins) == pytest.approx(1.0)
+    assert min(range(4), key=margins.__getitem__) in (2, 3)  # the wheelbase is shorter than the track
+
+
+def test_energy_is_the_height_that_the_com_must_rise() -> None:
+    """Messuri and Klein: m g times how much higher the COM is above the edge."""
+    for angle in (0.0, 0.2, 0.5):
+        reach, depth = 0.6, 0.5
+        now = depth * math.cos(angle) + reach * math.sin(angle)
+        left = G * (math.hypot(reach, depth) - now)
+        _, energy = tip_over.force_angle(reach, depth, G * math.sin(angle), 0.0, G * math.cos(angle))
+        assert energy == pytest.approx(left)
+
+
+@given(st.floats(0.0, 1.4))
+def test_the_margin_is_gone_when_the_com_stands_over_the_edge(angle: float) -> None:
+    critical = math.atan2(0.6, 0.5)
+    value = margin(RIGID, leaning(angle), 1)
+    assert (value > 0.0) == (angle < critical) or abs(angle - critical) < 1e-9
+
+
+def test_a_moment_that_holds_the_weight_s_own_about_the_edge_leaves_nothing() -> None:
+    """Papadopoulos and Rey: f* = f + (l x n)/l2, so that the angle is gone where the moments balance."""
+    reach, depth = 0.6, 0.5
+    none, energy = tip_over.force_angle(reach, depth, 0.0, G * reach, G)
+    assert none == pytest.approx(0.0)
+    assert energy == pytest.approx(0.0)
+    some, _ = tip_over.force_angle(reach, depth, 0.0, 0.5 * G * reach, G)
+    assert 0.0 < some < tip_over.force_angle(reach, depth, 0.0, 0.0, G)[0]
+
+
+@pytest.mark.parametrize(("axis", "sign"), [(1, -1.0), (0, -1.0)])
+@pytest.mark.parametrize("push", [-3.0, 0.0, 2.0])
+def test_load_transfer_of_a_rigid_robot_is_h_f_over_g_w(axis: int, sign: float, push: float) -> None:
+    force = [0.0, 0.0, G]
+    force[axis] = push
+    half = (0.5, 0.6)[axis]
+    transfers = tip_over.load_transfer(RIGID, tip_over.contacts(RIGID, STILL), (*force,), STILL)
+    assert transfers[1 - axis] == pytest.approx(sign * 0.5 * push / G / half)
+    assert transfers[axis] == pytest.approx(0.0)
+
+
+def test_loads_follow_a_com_off_the_middle_and_end_at_one_side() -> None:
+    off = replace(RIGID, reach_m=(0.5, 0.7, 0.5, 0.5))  # 0.1 m to the left of 0.6
+    lateral, _ = tip_over.load_transfer(off, tip_over.contacts(off, STILL), (0.0, 0.0, G), STILL)
+    assert lateral == pytest.approx(0.1 / 0.6)
+    flat, _ = tip_over.load_transfer(off, tip_over.contacts(off, STILL), (0.0, -30.0, G), STILL)
+    assert flat == 1.0
+
+
+@given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
+def test_contacts_lie_on_one_plane_that_the_body_leans_on(roll: float, pitch: float) -> None:
+    stance = replace(RIGID, wheel_radius_m=0.16)
+    (left, below_left), (right, below_right), (front, below_front), (rear, below_rear) = tip_over.contacts(
+        stance, (roll, pitch)
+    )
+    # Seen in the body, ground under a body with its left side up falls away to the left.
+    assert (below_left - below_right) / (left + right) == pytest.approx(math.tan(roll), rel=1e-6, abs=1e-9)
+    assert (below_rear - below_front) / (front + rear) == pytest.approx(math.tan(pitch), rel=1e-6, abs=1e-9)
+
+
+def test_an_imu_high_above_the_com_is_brought_down_to_it() -> None:
+    high = replace(RIGID, imu_m=(0.0, 0.0, 0.4))
+    alpha = 2.0  # left side up: the top moves to the right
+    felt = tip_over.at_com(high, (0.0, -0.4 * alpha, G), (0.0, 0.0, 0.0), (alpha, 0.0, 0.0))
+    assert felt == pytest.approx((0.0, 0.0, G))
+    spinning = tip_over.at_com(
+        replace(RIGID, imu_m=(0.3, 0.0, 0.0)), (-0.3 * 4.0, 0.0, G), (0, 0, 2.0), (0,) * 3
+    )
+    assert spinning == pytest.approx((0.0, 0.0, G))
+
+
+@pytest.mark.parametrize(
+    ("upright", "push", "rate"),
+    [(0.8, 0.0, 5.0), (0.5, 0.6, 0.0), (0.5, 0.5, 0.4), (0.3, 0.1, 2.0), (0.9, 1.2, -0.3)],
+)
+def test_time_to_the_balance_point_is_that_of_the_pendulum(upright: float, push: float, rate: float) -> None:
+    lever, gyration = 0.7, 0.2
+    speed2 = G * lever / (lever**2 + gyration)
+    found = tip_over.time_to_balance(lever, gyration, upright, upright - push, rate)
+
+    def over(_: float, state: np.ndarray) -> float:
+        return float(state[0])
+
+    over.terminal = True  # type: ignore[attr-defined]
+    swing = solve_ivp(
+        lambda _, s: [s[1], speed2 * (s[0] - push)],
+        (0.0, 20.0),
+        [upright, -rate],
+        events=over,
+        rtol=1e-9,
+        atol=1e-12,
+    )
+    assert found == pytest.approx(float(swing.t_events[0][0]), rel=1e-5)
+
+
+def test_a_robot_that_falls_back_never_gets_there() -> None:
+    assert tip_over.time_to_balance(0.7, 0.2, 0.8, 0.8, 0.5) == math.inf
+    assert tip_over.time_to_balance(0.7, 0.2, 0.8, 0.8, -1.0) == math.inf
+    assert tip_over.time_to_balance(0.7, 0.2, -0.1, 0.0, 0.0) == 0.0
+
+
+def test_springs_lean_outward_in_a_turn_and_nose_down_when_braking() -> None:
+    soft = replace(RIGID, roll_sway_s2pm=0.02, pitch_sway_s2pm=0.03)
+    roll, pitch = tip_over.spring_lean(soft, (-2.0, 3.0, G))
+    assert roll == pytest.approx(0.06)  # turning left: left side up
+    assert pitch == pytest.approx(0.06)  # braking: nose down
+    most, _ = tip_over.spring_lean(soft, (0.0, 50.0, G))
+    assert most == pytest.approx(0.02 * 0.6 * G / 0.5)  # all weight on one side
+    assert LEFT == 0
