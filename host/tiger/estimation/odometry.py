@@ -214,6 +214,9 @@ def _corrected(
     else:
         if any(good):
             seen, both = slip.mean_of(wheels.told_mps, good)
+            if both and not slip.plausible(config, state.slip, seen, speed, coasting, r):
+                good = slip.NONE
+        if any(good):
             scrubbing = config.scrub_speed_m * r if both else config.scrub_noise * r * half_track[0]
             variance = config.wheel_sigma_mps**2 + config.memory * scrubbing**2
             correction.take({U: 1.0, SCALE: -seen}, seen - speed, variance)

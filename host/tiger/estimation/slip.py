@@ -82,6 +82,21 @@ def trusted(
     )
 
 
+def plausible(
+    config: OdometryConfig,
+    state: SlipState,
+    mean_mps: float,
+    speed_mps: float,
+    speed_sigma_mps: float,
+    yaw_rate_radps: float,
+) -> bool:
+    """Tell whether the mean of both sides agrees with inertia: scrub, which excuses one side, cancels in it."""
+    spread = config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps)
+    spread += config.scrub_speed_m * abs(yaw_rate_radps)
+    sigmas = config.regain_sigmas if any(state.slipping) else config.gate_sigmas
+    return abs(mean_mps - speed_mps) < sigmas * spread + config.coasting_sigmas * speed_sigma_mps
+
+
 def mean_of(told_mps: Four, good: FourBools) -> tuple[float, bool]:
     """Return the speed that the good wheels tell, and whether both sides are among them (scrub cancels).
 
@@ -113,7 +128,7 @@ def step(
         slip_mps = wheels.surface_mps[i] - ground
         ratio = slip_mps / max(abs(ground), config.least_speed_mps)
         beyond = abs(ratio) > config.event_ratio and abs(slip_mps) > sure_mps
-        within = abs(ratio) < config.event_over_ratio or abs(slip_mps) < 0.5 * sure_mps
+        within = abs(ratio) < config.event_over_ratio or abs(slip_mps) < 0.5 * config.event_speed_mps
         was, since = state.slipping[i], state.apart_s[i]
         changes = within if was else beyond
         since = since + dt if changes else 0.0
