@@ -24,7 +24,7 @@ from tiger.config.robot import load_robot
 from tiger.control.attitude import design_leveling
 from tiger.control.rate_limited import distance_to_optimum, nearest_motion
 from tiger.emulation.ground import make_terrain
-from tiger.emulation.scenarios import RoughConfig, Scenario, Start, TerrainConfig
+from tiger.emulation.scenarios import RoughConfig, Roughness, Scenario, Start, TerrainConfig
 from tiger.record import Command, DaemonState, Mode
 from tiger.rig.virtual import Rig
 from tiger.studies.report import Report, Row
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-ROUGHNESS = "D"
+ROUGHNESS: Roughness = "D"
 SHORTEST_WAVE_M = 1.0
 START_M, LENGTH_M = 5.0, 150.0
 DRIVE_AT_S = 8.0
