@@ -49,7 +49,7 @@ def steady_state_gain(
         prior = _doubling(a, c, process, measurement) if cross is None else None
         if prior is None:
             prior = solve_discrete_are(a.T, c.T, process, measurement, s=cross)
-    except np.linalg.LinAlgError as error:
+    except (np.linalg.LinAlgError, ValueError) as error:
         raise ValueError(
             f"no stable Kalman filter for {a.shape[0]} states and {c.shape[0]} measurements ({error}): "
             "a mode on the stability limit is not observable, or no noise drives it"

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tiger.control import ride
-from tiger.control.ride import ImuNoise
+from tiger.control.ride import ImuNoise, RoadPrior
 from tiger.estimation import imu_offset
-from tiger.estimation.imu_offset import LONG_WAVES, ROUGH_ROAD
+from tiger.estimation.imu_offset import ROUGH_ROAD
 from tiger.estimation.kalman import steady_state_gain
 from tiger.models.full_car import BODY_ACCELERATION, FORCE, IMU, ROAD, full_car
 from tiger.studies import ride_cases
@@ -29,13 +29,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from tiger.control.ride import RoadPrior
     from tiger.models.full_car import FullCarParameters
 
     Array = NDArray[np.float64]
 
 BODY = ("heave", "pitch", "roll")
 OFFSETS_PERCENT = (0, 5, 10, 15, 20)
+SWELL = RoadPrior(noise=0.05, leak_radps=0.05, bandwidth_radps=5.0, lane_correlation=0.5, damping=0.3)
+"""What the observer believes of the bumpy road: long waves whose slope has no steps."""
 SETTLED = 0.1
 TRACKING_S = 2.0
 
@@ -89,7 +90,7 @@ def run(
     series: dict[str, Any] = {"offset_percent": np.array(OFFSETS_PERCENT)}
     tau = case.car.wheelbase_m / ride_cases.ISO_SPEED_MPS
     roads = {
-        "bumpy": (ride_cases.bumpy_road(), LONG_WAVES, ride_cases.BUMPY_PREVIEW_S),
+        "bumpy": (ride_cases.bumpy_road(), SWELL, ride_cases.BUMPY_PREVIEW_S),
         "iso": (ride_cases.iso_roads(case.car, [iso_road_seed])[0], ROUGH_ROAD, tau),
     }
     for i, (name, (road, prior, preview)) in enumerate(roads.items()):

@@ -48,7 +48,7 @@ def test_cluster_of_two_workers_on_loopback_gives_the_same_figures() -> None:
 
 
 @pytest.mark.proof
-@pytest.mark.timeout(1800)
+@pytest.mark.timeout(3600)
 def test_thousand_vehicles() -> None:
     value = {row.name: row.value for row in monte_carlo.run(runs=1000, first_seed=5000).rows}
     assert value["stable"] == 100

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tiger.control.ride import ImuNoise
-from tiger.estimation.imu_offset import LONG_WAVES
 from tiger.studies import observer, ride_cases
 from tiger.studies.report import Row
 
@@ -32,9 +31,9 @@ def test_bumpy_road_without_offset_and_with_20_percent_uncorrected_and_corrected
         ("known", offset, offset),
     ):
         imu, truth = observer._drive(CAR, ROAD, noise, 3, at)
-        estimate = observer.estimate_accelerations(CAR, LONG_WAVES, noise, imu, believed, None)
+        estimate = observer.estimate_accelerations(CAR, observer.SWELL, noise, imu, believed, None)
         fits[name] = observer.accuracy(estimate, truth)[0]
-    assert (fits["centred"] >= [0.98, 0.95, 0.86]).all()
+    assert (fits["centred"] >= [0.985, 0.96, 0.9]).all()
     assert fits["ignored"][0] == pytest.approx(0.778, abs=0.02)
     assert (fits["known"] >= [0.95, 0.94, 0.86]).all()
 
@@ -47,6 +46,7 @@ def test_wrong_initial_state_is_forgotten_within_0_3_s() -> None:
 
 
 @pytest.mark.proof
+@pytest.mark.timeout(900)
 def test_study_prints_every_offset_and_finds_it() -> None:
     value = {row.name: row.value for row in observer.run().rows}
     for road in ("bumpy", "iso"):

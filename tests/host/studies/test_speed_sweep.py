@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from tiger.studies import speed_sweep
 
 
+@pytest.mark.timeout(300)
 def test_mean_cuts_and_rattle_space_over_the_speeds(tmp_path: Path) -> None:
     report = speed_sweep.run(step_mps=5.0, seed=11)
     cut = np.asarray(report.series["cut_percent"]).mean(axis=0)
