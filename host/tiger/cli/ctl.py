@@ -156,6 +156,7 @@ def drive(
                 time.sleep(min(REPEAT_S, left_s))
         finally:
             answer = robot.ask("release")
+        answer["text"] = f"drove for {seconds:g} s; it slows down and stands still"
         _say(answer, as_json)
 
 
@@ -199,6 +200,13 @@ def _lines(status: dict[str, Any]) -> list[str]:
         left, right = (side["speed_radps"] for side in sides)
         radps = (left[0], right[0], left[1], right[1])
         lines.append("wheels " + " ".join(f"{w * 30.0 / math.pi:+.1f}" for w in radps) + " rpm (FL FR RL RR)")
+    seen = status["overview"]
+    if None not in (inputs["drive_left"], inputs["drive_right"]):
+        volts = min(inputs[side]["battery_v"] for side in ("drive_left", "drive_right"))
+        watts, taken_wh = sum(seen["electric_w"]), sum(seen["energy_j"]) / 3600.0
+        lines.append(f"battery {volts:.1f} V, {watts:.0f} W, {taken_wh:.2f} Wh taken")
+    if seen["reach_used"] is not None:
+        lines.append(f"{100.0 * seen['reach_used']:.0f} % of what the strokes reach is used")
     if status["helm"] is not None:
         lines.append(f"{status['helm']} has the helm")
     lines += [f"! {p['where']}: {p['text']}. {p['next_step']}" for p in record["problems"]]

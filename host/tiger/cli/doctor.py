@@ -5,7 +5,9 @@ from __future__ import annotations
 import errno
 import os
 import platform
+import shutil
 import sys
+import textwrap
 from dataclasses import dataclass
 from enum import Enum
 from importlib import metadata
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from tiger.config.robot import RobotConfig
 
 BEST_LATENCY_TIMER_MS = 1
+INDENT = 7  # of everything but the grade
 SYS = Path("/sys")
 PROC = Path("/proc")
 
@@ -59,10 +62,15 @@ def doctor(
     bad = False
     for finding in (*_software(), *_ports(robot), *_latency_timers(SYS), *_disturbers(PROC), *_scheduling()):
         bad = bad or finding.grade is Grade.BAD
-        typer.echo(f"{finding.grade.value:>5}  {finding.what}")
+        _show(f"{finding.grade.value:>5}  ", finding.what)
         if finding.next_step:
-            typer.echo(f"       {finding.next_step}")
+            _show(" " * INDENT, finding.next_step)
     raise typer.Exit(1 if bad else 0)
+
+
+def _show(start: str, text: str) -> None:
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else 1000
+    typer.echo(textwrap.fill(text, width, initial_indent=start, subsequent_indent=" " * INDENT))
 
 
 def _software() -> Iterator[Finding]:

@@ -49,7 +49,7 @@ def picture(record: Record, overview: Overview, log_lines: list[str], title: str
     state = Text.assemble(
         (f" {record.state.name} ", STATE_STYLE[record.state]), f"  {record.reason}; {record.outputs.reason}"
     )
-    parts: list[RenderableType] = [Text(title, style="bold")]
+    parts: list[RenderableType] = [Text(title, style="bold", no_wrap=True, overflow="ellipsis")]
     if keys:
         parts.append(Text(KEYS, style="dim"))
     parts.append(state)
@@ -109,12 +109,18 @@ def _battery(record: Record, overview: Overview) -> Text:
     parts = []
     volts = [d.battery_v for d in (record.inputs.drive_left, record.inputs.drive_right) if d is not None]
     if volts:
-        taken_wh = sum(overview.energy_j) / J_PER_WH
-        parts.append(f"battery {min(volts):.1f} V, {sum(overview.electric_w):.0f} W, {taken_wh:.3g} Wh taken")
+        parts.append(
+            f"battery {min(volts):.1f} V, {sum(overview.electric_w):.0f} W, {_energy(overview)} taken"
+        )
     if overview.reach_used is not None:
         roll, pitch = (math.degrees(most) for most in overview.reachable_rad)
         parts.append(f"reach ±{roll:.1f}° roll ±{pitch:.1f}° pitch, {100.0 * overview.reach_used:.0f} % used")
     return Text("; ".join(parts), no_wrap=True, overflow="ellipsis")
+
+
+def _energy(overview: Overview) -> str:
+    taken_wh = sum(overview.energy_j) / J_PER_WH
+    return f"{taken_wh:.{2 if taken_wh < 10.0 else 0}f} Wh"
 
 
 def _links(links: tuple[LinkStatus, ...]) -> Table:

@@ -71,8 +71,8 @@ MOVES: dict[str, Motion] = {
     "\x1b[C": (0.0, -1.0),
 }
 ASKS = {"a": "arm", "d": "disarm", "c": "clear", " ": "estop", "q": "quit", "\x03": "quit"}
-KEYS_HELP = """hold to move:  arrows or i k j l  forward, back, left, right;  u o  forward in a curve
-1-5 speed level   a arm   d disarm   c clear faults   space emergency stop   q quit"""
+KEYS_HELP = """hold to move:  arrows or i k j l  forward, back, left, right;  u o  in a curve
+1-5 speed level   a arm   d disarm   c clear   space emergency stop   q quit"""
 
 
 @dataclass
@@ -153,8 +153,9 @@ EVIOCGABS = 0x80184540  # + axis: its struct input_absinfo of six ints: value, m
 FULL = (-32768, 32767)  # range of a stick that does not tell
 DEAD_ZONE = 0.08
 WHERE = "/dev/input/by-id/*-event-joystick"
-PAD_HELP = """hold {deadman} to move: left stick speed, right stick direction;  D-pad up and down: speed level
-start: arm   select (back): disarm   button B: emergency stop   Ctrl-C quits"""
+PAD_HELP = """hold {deadman} to move: left stick speed, right stick direction
+D-pad up, down: speed level   start: arm   select (back): disarm
+B: emergency stop   Ctrl-C quits"""
 
 
 @dataclass

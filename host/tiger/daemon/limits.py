@@ -291,7 +291,8 @@ class RestCheck:
         if sample is None:
             return Problem(ProblemKind.NO_ANSWER, "nano_imu", "sends no attitude", _CABLE)
         if not sample.flags & self._CALIBRATED:
-            text, step = "is not calibrated", "Put the robot on level ground and run `tiger calibrate imu`."
+            text = "is not calibrated"
+            step = "Keep the robot still for some seconds; if it stays so, run `tiger calibrate imu`."
             return Problem(ProblemKind.REFUSED, "nano_imu", text, step)
         if not sample.flags & self._READY:
             text, step = "attitude has not settled", "Keep the robot still for a few seconds."
