@@ -1,6 +1,6 @@
 """Randomised roll-overs of the whole robot: does the warning come in time, and does the limiter prevent them?
 
-TIGER itself slides before it tips on flat ground (`docs/stability.md`), so the body's COM is raised to 0.75 to
+TIGER itself slides before it tips on flat ground (docs/stability.md), so the body's COM is raised to 0.75 to
 1.1 m and the ground grips at 1.0 to 1.2. Four ways to tip, each through firmware, wire and daemon:
 
 - *turn*: a turn at 3-6 m/s, on level ground or across a slope of up to 10 degrees;
@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -65,6 +65,7 @@ class Outcome(NamedTuple):
     lifted_s: float
     """Both wheels of a side or an axle in the air."""
     warned_s: float
+    """Since when the warning stands, at the end."""
     tripped_s: float
     impact_s: float
     stopped: str
@@ -114,7 +115,7 @@ def _robot(kind: Kind, number: dict[str, float]) -> RobotConfig:
                 update={
                     "max_speed_mps": 8.0,
                     "max_yaw_rate_degps": 120.0,
-                    "acceleration_mps2": 2.5 if quick else 1.5,
+                    "acceleration_mps2": 2.0 if quick else 1.5,
                     "jerk_mps3": 15.0 if quick else 5.0,
                     "effective_track_factor": 2.0,
                 }
@@ -180,7 +181,7 @@ def _ground_and_drive(
         slope = number["slope_deg"] = random.uniform(0.0, 12.0)
         lateral = number["lateral_mps2"] = random.uniform(5.0, 9.0)
         rate = math.degrees(lateral / speed) * side
-        turn_s = ARMED_S + 0.5 + speed / 2.5
+        turn_s = ARMED_S + 0.5 + speed / 2.0
         # Turning to the left presses on the right wheels: the slope falls to the right.
         terrain = TerrainConfig(left_up_deg=slope * side)
         return terrain, Start(), events((ARMED_S, speed, 0.0), (turn_s, speed, rate))
@@ -197,12 +198,12 @@ def _ground_and_drive(
     if kind == "brake":
         speed = number["speed_mps"] = random.uniform(2.0, 4.0)
         slope = number["slope_deg"] = random.uniform(8.0, 16.0)
-        stop_s = ARMED_S + 0.8 + speed / 2.5
+        stop_s = ARMED_S + 0.8 + speed / 2.0
         return TerrainConfig(climb_deg=-slope), Start(), events((ARMED_S, speed, 0.0), (stop_s, 0.0, 0.0))
     speed = number["speed_mps"] = random.uniform(1.0, 3.0)
     height = number["height_m"] = random.uniform(0.06, 0.12)
     yaw = number["yaw_deg"] = random.uniform(-50.0, 50.0)
-    start_m = 0.8 + 1.2 * speed * speed / 2.5 + 0.6 * speed
+    start_m = 0.8 + 1.2 * speed * speed / 2.0 + 0.6 * speed
     curb = StepConfig(height_m=height, start_m=start_m, ramp_m=0.05)
     return TerrainConfig(step=(curb,)), Start(yaw_deg=yaw), events((ARMED_S, speed, 0.0))
 
@@ -231,7 +232,9 @@ def run(case: Case, limiter: str) -> Outcome:
         if record.state is not DaemonState.ARMED and armed and not stopped:
             stopped = "; ".join([record.reason, *map(str, rig.daemon.latched)])
         shown = record.outputs.estimate.stability
-        if shown.warning and math.isnan(warned):
+        if not shown.warning:
+            warned = math.nan
+        elif math.isnan(warned):
             warned = rig.time_s
         if shown.tripped and math.isnan(tripped):
             tripped = rig.time_s
@@ -331,12 +334,59 @@ def _rotation(truth: Truth) -> NDArray[np.float64]:
     )
 
 
-def summary(case: Case, logged: Outcome, limited: Outcome | None) -> dict[str, Any]:
-    """One row of a table of runs."""
-    return {
-        "kind": case.kind,
-        "seed": case.seed,
-        **case.numbers,
-        **logged._asdict(),
-        "prevented": limited is not None and not limited.tipped,
-    }
+class Tally(NamedTuple):
+    """How many of the runs did what."""
+
+    runs: int
+    unfit: int
+    """Stopped by something else than tipping, before anything was to be seen."""
+    tipped: int
+    warned: int
+    """Of those that tipped without the limiter: warned half a second before the balance point."""
+    prevented: int
+    """Of the same: did not tip with the limiter."""
+    impacts: int
+    flagged: int
+    """Impacts flagged within 100 ms."""
+    late: tuple[str, ...]
+    """Which runs were warned late, not prevented, or flagged late."""
+
+
+def cases(count: int, trips: int, first_seed: int = 0) -> list[Case]:
+    """Return `count` slopes and turns and `trips` curbs."""
+    drawn = [draw(KINDS[k % len(KINDS)], first_seed + k) for k in range(count)]
+    return drawn + [draw("trip", first_seed + k) for k in range(trips)]
+
+
+def run_both(case: Case) -> tuple[Case, Outcome, Outcome | None]:
+    """Run a case with the limiter only logged and, if it tipped, once more with the limiter on."""
+    logged = run(case, "log")
+    return case, logged, run(case, "on") if logged.tipped and case.kind != "trip" else None
+
+
+def tally(outcomes: list[tuple[Case, Outcome, Outcome | None]]) -> Tally:
+    """Count."""
+    unfit = tipped = warned = prevented = impacts = flagged = 0
+    late = []
+    for case, logged, limited in outcomes:
+        name = f"{case.kind} {case.seed}"
+        if case.kind == "trip":
+            if math.isnan(logged.impact_s):
+                unfit += 1
+                continue
+            impacts += 1
+            soon = logged.tripped_s - logged.impact_s <= 0.1
+            flagged += soon
+            late += [] if soon else [f"{name}: flagged after {logged.tripped_s - logged.impact_s:.2f} s"]
+            continue
+        if not logged.tipped:
+            unfit += bool(logged.stopped)
+            continue
+        tipped += 1
+        lead = logged.balance_s - logged.warned_s
+        warned += lead >= 0.5
+        late += [] if lead >= 0.5 else [f"{name}: warned {lead:.2f} s ahead"]
+        assert limited is not None
+        prevented += not limited.tipped
+        late += [] if not limited.tipped else [f"{name}: not prevented"]
+    return Tally(len(outcomes), unfit, tipped, warned, prevented, impacts, flagged, tuple(late))
