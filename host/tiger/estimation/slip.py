@@ -65,21 +65,19 @@ def trusted(
     """Tell which wheels agree with the speed that inertia gives, within what either may be off.
 
     A wheel that slipped must come closer before it is believed again, and a speed that has been coasting for
-    long is only a weak reason to believe a wheel that is further off.
+    long is only a weak reason to believe a wheel that is further off. The two wheels of a side scrub alike: if
+    they disagree, the one further off slips.
     """
-    spread = hypot(
-        config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps),
-        config.scrub_noise * yaw_rate_radps * wheels.half_track_m[0],
-    )
-    most = config.gate_sigmas * spread + config.coasting_sigmas * speed_sigma_mps
-    closer = config.regain_sigmas * spread + config.coasting_sigmas * speed_sigma_mps
-    (a, b, c, d), (fl, fr, rl, rr) = wheels.told_mps, state.slipping
-    return (
-        abs(a - speed_mps) < (closer if fl else most),
-        abs(b - speed_mps) < (closer if fr else most),
-        abs(c - speed_mps) < (closer if rl else most),
-        abs(d - speed_mps) < (closer if rr else most),
-    )
+    noise = config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps)
+    spread = hypot(noise, config.scrub_noise * yaw_rate_radps * wheels.half_track_m[0])
+    coasting = config.coasting_sigmas * speed_sigma_mps
+    most, closer = config.gate_sigmas * spread + coasting, config.regain_sigmas * spread + coasting
+    off = [abs(told - speed_mps) for told in wheels.told_mps]
+    good = [far < (closer if slipped else most) for far, slipped in zip(off, state.slipping, strict=True)]
+    for front, rear in ((0, 2), (1, 3)):
+        if abs(wheels.told_mps[front] - wheels.told_mps[rear]) > config.gate_sigmas * noise:
+            good[front if off[front] > off[rear] else rear] = False
+    return _bools(good)
 
 
 def plausible(
