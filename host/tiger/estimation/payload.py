@@ -10,7 +10,10 @@ Three things give a load away, and one hides it:
   rolling resistance. The ground's slope is not in it. This gives the mass M.
 * **Tilt.** The springs give way: off the middle a load tilts the body against its wheels by its moment over
   the stiffness of the four corners, spring and tyre in series. The strokes' share of the tilt is known.
-* **Starts, stops and turns** tilt the body by (specific force) x (mass x height): this gives the height.
+* **Starts, stops and turns** tilt the body by (specific force) x (mass x height): this gives the height. The
+  wheels stay upright on the ground under a body that leans: their contacts go back by r d, which makes the
+  springs stiffer by the robot's weight times r. What the motors spend on spinning up and on rolling presses
+  the tail down besides.
 * **The ground's slope** tilts the body as well. Rough ground averages out with the distance; a steady slope
   keeps its direction in the world, so it turns round under a robot that turns. And along x the tilt is in
   the drive force too. What this leaves: ahead and the mass are known after some starts and stops, the side
@@ -94,8 +97,13 @@ class Sums:
     samples: int = 0
     roll_rad: float = 0.0
     pitch_rad: float = 0.0
+    posed_roll_rad: float = 0.0
+    posed_pitch_rad: float = 0.0
     ahead_mps2: float = 0.0
     left_mps2: float = 0.0
+    accel_mps2: float = 0.0
+    ahead: float = 0.0
+    """Samples that rolled ahead, less those that rolled back."""
     turned_rad: float = 0.0
     travelled_m: float = 0.0
 
@@ -134,8 +142,9 @@ class Measured(NamedTuple):
 
     roll_rad: float
     pitch_rad: float
+    posed_roll_rad: float
     posed_pitch_rad: float
-    """The strokes' own share of the pitch."""
+    """The strokes' own share of the tilt."""
     ahead_mps2: float
     left_mps2: float
     """Specific force along the body's x and y axes."""
@@ -160,6 +169,8 @@ class Payload:
     moment_sigma_kgm: Three = (0.0, 0.0, 0.0)
     lever_kgm: float = 0.0
     """Sum of mass x height above the ground, of robot and load: what accelerations tilt it with."""
+    upright_nmprad: float = 0.0
+    """Weight x radius: what brings a leaning body back because its wheels stay upright."""
     rolling_resistance: float = 0.0
 
 
@@ -220,8 +231,12 @@ def step(design: PayloadDesign, state: PayloadState, now: Measured, dt: float) -
         sums.samples + 1,
         sums.roll_rad + now.roll_rad,
         sums.pitch_rad + now.pitch_rad,
+        sums.posed_roll_rad + now.posed_roll_rad,
+        sums.posed_pitch_rad + now.posed_pitch_rad,
         sums.ahead_mps2 + tilting[0],
         sums.left_mps2 + tilting[1],
+        sums.accel_mps2 + accel,
+        sums.ahead + _direction(design, now.wheels_mps),
         sums.turned_rad + dt * now.yaw_rate_radps,
         sums.travelled_m + dt * abs(now.wheels_mps),
     )
@@ -254,6 +269,7 @@ def payload(design: PayloadDesign, state: PayloadState) -> Payload:
         moment_kgm=(x, y, z),
         moment_sigma_kgm=(sigmas[1], sigmas[2], sigmas[3]),
         lever_kgm=_lever(design, state.mean)[0],
+        upright_nmprad=_upright(design, state.mean),
         rolling_resistance=float(state.mean[ROLLING]),
     )
 
@@ -278,6 +294,11 @@ def _prior(config: LoadsConfig, rolling_resistance: float) -> Array:
     return lies @ np.diag(sigmas**2) @ lies.T
 
 
+def _direction(design: PayloadDesign, speed_mps: float) -> float:
+    """1 rolling ahead, -1 back, 0 at rest."""
+    return math.copysign(1.0, speed_mps) if abs(speed_mps) > design.config.moving_mps else 0.0
+
+
 def _tells(design: PayloadDesign, now: Measured) -> bool:
     """Whether the drive forces say something of the mass: rolling, straight on, without slip."""
     moving = abs(now.wheels_mps) > design.config.moving_mps
@@ -300,18 +321,16 @@ def _driven(
     accel_mps2: float,
 ) -> tuple[Array, float]:
     """Foretell f_x from the drive force, and its derivatives (9,)."""
-    g, give = GRAVITY_MPS2, GRAVITY_MPS2 / design.pitch_nmprad
     mass = design.empty_kg + float(mean[MASS])
-    lever, per_kg = _lever(design, mean)
     ahead = math.copysign(1.0, now.wheels_mps)
     pulled = (now.drive_n - design.spin_kg * accel_mps2) / mass
-    pitched = now.posed_pitch_rad + give * float(mean[AHEAD]) - lever * tilting_mps2 / design.pitch_nmprad
-    row = np.zeros(STATES)
-    row[MASS] = -pulled / mass + give * per_kg * tilting_mps2
-    row[AHEAD] = -g * give
-    row[UP] = give * tilting_mps2
-    row[ROLLING] = -g * ahead
-    return row, pulled - g * pitched - g * ahead * float(mean[ROLLING])
+    spent_nm = _spent_nm(design, mean, accel_mps2, ahead)
+    row, pitch = _pressed_forward(design, mean, tilting_mps2, now.posed_pitch_rad, spent_nm)
+    row *= -GRAVITY_MPS2
+    row[MASS] -= pulled / mass
+    row[ROLLING] = -GRAVITY_MPS2 * ahead
+    rolling = GRAVITY_MPS2 * ahead * float(mean[ROLLING])
+    return row, pulled - GRAVITY_MPS2 * (now.posed_pitch_rad + pitch) - rolling
 
 
 def _updated(
@@ -323,41 +342,66 @@ def _updated(
     fx, fy = sums.ahead_mps2 / n, sums.left_mps2 / n
     pitch, roll = sums.pitch_rad / n, sums.roll_rad / n
     variance = math.radians(config.attitude_noise_deg) ** 2
-    along, foretold = _pitched(design, mean, fx)
-    across, rolled = _rolled(design, mean, fy)
+    posed_pitch, posed_roll = sums.posed_pitch_rad / n, sums.posed_roll_rad / n
+    spent_nm = _spent_nm(design, mean, sums.accel_mps2 / n, sums.ahead / n)
+    along, foretold = _pitched(design, mean, fx, posed_pitch, spent_nm)
+    across, rolled = _rolled(design, mean, fy, posed_roll)
     if stood and (
         _beyond(covariance, along, pitch - foretold, variance, config.changed_sigmas)
         or _beyond(covariance, across, roll - rolled, variance, config.changed_sigmas)
     ):
         covariance = covariance + _open(design)
     mean, covariance = _corrected(mean, covariance, along, pitch - foretold, variance)
-    across, rolled = _rolled(design, mean, fy)
+    across, rolled = _rolled(design, mean, fy, posed_roll)
     mean, covariance = _corrected(mean, covariance, across, roll - rolled, variance)
     lever, _ = _lever(design, mean)
-    climb, rise = -pitch - fx * lever / design.pitch_nmprad, roll - fy * lever / design.roll_nmprad
+    climb = -pitch - (fx * lever + spent_nm) / design.pitch_nmprad
+    rise = roll - fy * lever / design.roll_nmprad
     return mean, covariance, _roughness(config, segment, sums.travelled_m, climb, rise)
 
 
-def _pitched(design: PayloadDesign, mean: Array, fx: float) -> tuple[Array, float]:
-    """Derivatives (9,) of the pitch by ground and load, and the pitch itself."""
-    lever, per_kg = _lever(design, mean)
-    give = 1.0 / design.pitch_nmprad
-    row = np.zeros(STATES)
+def _pitched(
+    design: PayloadDesign, mean: Array, fx: float, posed_rad: float, spent_nm: float
+) -> tuple[Array, float]:
+    """Derivatives (9,) of the pitch by ground and load, and the pitch itself beside the strokes' own."""
+    row, pitch = _pressed_forward(design, mean, fx, posed_rad, spent_nm)
     row[CLIMB] = row[CLIMB_HERE] = -1.0
-    row[AHEAD], row[MASS], row[UP] = GRAVITY_MPS2 * give, -fx * per_kg * give, -fx * give
-    climb = float(mean[CLIMB] + mean[CLIMB_HERE])
-    return row, -climb + give * (GRAVITY_MPS2 * float(mean[AHEAD]) - fx * lever)
+    return row, pitch - float(mean[CLIMB] + mean[CLIMB_HERE])
 
 
-def _rolled(design: PayloadDesign, mean: Array, fy: float) -> tuple[Array, float]:
-    """Derivatives (9,) of the roll by ground and load, and the roll itself."""
+def _pressed_forward(
+    design: PayloadDesign, mean: Array, fx: float, posed_rad: float, spent_nm: float
+) -> tuple[Array, float]:
+    """Derivatives (9,) of the pitch of the body on its springs, and this pitch itself."""
     lever, per_kg = _lever(design, mean)
-    give = 1.0 / design.roll_nmprad
+    upright = _upright(design, mean)
+    give = 1.0 / (design.pitch_nmprad + upright)
+    row = np.zeros(STATES)
+    row[AHEAD], row[MASS], row[UP] = GRAVITY_MPS2 * give, -fx * per_kg * give, -fx * give
+    return row, give * (GRAVITY_MPS2 * float(mean[AHEAD]) - fx * lever - upright * posed_rad - spent_nm)
+
+
+def _spent_nm(design: PayloadDesign, mean: Array, accel_mps2: float, ahead: float) -> float:
+    """Torque of the motors that no force on the ground comes of: spinning the wheels up, and rolling them."""
+    weight = GRAVITY_MPS2 * (design.empty_kg + float(mean[MASS]))
+    return design.radius_m * (design.spin_kg * accel_mps2 + ahead * float(mean[ROLLING]) * weight)
+
+
+def _rolled(design: PayloadDesign, mean: Array, fy: float, posed_rad: float) -> tuple[Array, float]:
+    """Derivatives (9,) of the roll by ground and load, and the roll itself beside the strokes' own."""
+    lever, per_kg = _lever(design, mean)
+    upright = _upright(design, mean)
+    give = 1.0 / (design.roll_nmprad + upright)
     row = np.zeros(STATES)
     row[RISE] = row[RISE_HERE] = 1.0
     row[LEFT], row[MASS], row[UP] = -GRAVITY_MPS2 * give, fy * per_kg * give, fy * give
     rise = float(mean[RISE] + mean[RISE_HERE])
-    return row, rise + give * (fy * lever - GRAVITY_MPS2 * float(mean[LEFT]))
+    return row, rise + give * (fy * lever - GRAVITY_MPS2 * float(mean[LEFT]) - upright * posed_rad)
+
+
+def _upright(design: PayloadDesign, mean: Array) -> float:
+    """Moment in Nm/rad that brings a leaning body back because its wheels stay upright."""
+    return GRAVITY_MPS2 * design.radius_m * (design.empty_kg + float(mean[MASS]))
 
 
 def _open(design: PayloadDesign) -> Array:

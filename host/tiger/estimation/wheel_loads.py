@@ -5,8 +5,11 @@ that the body's accelerations ask for. With the specific force f at the body, th
 and first moments of the load (`payload`) and the lever H = sum of mass x height above the ground,
 
     sum F   = m_body f_z + m_wheels g
-    sum x F = m x f_z - H f_x - I_y q'
-    sum y F = m y f_z - H f_y + I_x p'
+    sum x F = m x f_z - H f_x - I_y q' - W r pitch
+    sum y F = m y f_z - H f_y + I_x p' + W r roll
+
+Pitch and roll are those of the body against the ground, by strokes and springs: the wheels stay upright under
+it, which moves their contacts by the tilt times the radius r under the weight W.
 
 The fourth is the twist: ground and strokes together load one diagonal and relieve the other, through spring
 and tyre in series. The ground's share is inferred elsewhere (`contact`). A twist that would pull at a wheel
@@ -34,6 +37,7 @@ from tiger.record import STILL, Loads
 
 if TYPE_CHECKING:
     from tiger.config.robot import RobotConfig
+    from tiger.control.reachable import Pose
     from tiger.estimation.payload import Payload
     from tiger.record import Estimate, Four, Inputs, Three
 
@@ -130,6 +134,7 @@ def step(
     measured = Measured(
         roll_rad=tilt.roll_rad - posed.roll_rad,
         pitch_rad=tilt.pitch_rad - posed.pitch_rad,
+        posed_roll_rad=posed.roll_rad,
         posed_pitch_rad=posed.pitch_rad,
         ahead_mps2=force[0],
         left_mps2=force[1],
@@ -150,7 +155,7 @@ def step(
     turning = p + share * (turn[0] - p), q + share * (turn[1] - q)
     read = (False, False) if fresh else (left_read, right_read)
     after = LoadsState(carrying, load, tilt, smooth, turning, current_a, read, imu.t_s)
-    return after, _loads(design, after, estimate.loads, posed.warp_mm)
+    return after, _loads(design, after, estimate.loads, posed)
 
 
 def _wheels_mps(design: LoadsDesign, inputs: Inputs) -> float:
@@ -170,14 +175,14 @@ def _read(state: LoadsState, inputs: Inputs) -> tuple[Four, bool, bool]:
     return now, state.read[0] or now[:2] != before[:2], state.read[1] or now[2:] != before[2:]
 
 
-def _loads(design: LoadsDesign, state: LoadsState, known: Loads, stroke_twist_mm: float) -> Loads:
+def _loads(design: LoadsDesign, state: LoadsState, known: Loads, posed: Pose) -> Loads:
     load = state.load
     body_kg = design.payload.body_kg + load.mass_kg
-    twist_m = 0.25 * known.ground_warp_m + 0.001 * stroke_twist_mm
+    twist_m = 0.25 * known.ground_warp_m + 0.001 * posed.warp_mm
     sigma = _sigma_n(design, load, 0.25 * known.ground_warp_sigma_m)
     (x, y, z), (sx, sy, sz) = load.moment_kgm, load.moment_sigma_kgm
     return Loads(
-        wheel_load_n=_twisted(_three_equations(design, state), design.corner_npm * twist_m),
+        wheel_load_n=_twisted(_three_equations(design, state, posed), design.corner_npm * twist_m),
         wheel_load_sigma_n=(sigma, sigma, sigma, sigma),
         hanging=known.hanging,
         ground_warp_m=known.ground_warp_m,
@@ -192,15 +197,18 @@ def _loads(design: LoadsDesign, state: LoadsState, known: Loads, stroke_twist_mm
     )
 
 
-def _three_equations(design: LoadsDesign, state: LoadsState) -> Four:
+def _three_equations(design: LoadsDesign, state: LoadsState, posed: Pose) -> Four:
     """Loads that carry the body as it moves, without any twist."""
     fx, fy, fz = state.force_mps2
     load = state.load
     x, y, _ = load.moment_kgm
     lever = load.lever_kgm
     total = (design.payload.body_kg + load.mass_kg) * fz + design.wheels_kg * GRAVITY_MPS2
-    ahead = x * fz - lever * fx - design.inertia_kgm2[1] * state.turn_radps2[1]
-    left = y * fz - lever * fy + design.inertia_kgm2[0] * state.turn_radps2[0]
+    upright = load.upright_nmprad
+    ahead = x * fz - lever * fx - design.inertia_kgm2[1] * state.turn_radps2[1] - upright * posed.pitch_rad
+    left = y * fz - lever * fy + design.inertia_kgm2[0] * state.turn_radps2[0] + upright * posed.roll_rad
+    ahead *= design.payload.pitch_nmprad / (design.payload.pitch_nmprad + upright)
+    left *= design.payload.roll_nmprad / (design.payload.roll_nmprad + upright)
     fl, fr, rl, rr = (a * total + b * ahead + c * left for a, b, c in design.shares)
     return fl, fr, rl, rr
 
