@@ -149,15 +149,15 @@ ISO_PREVIEW = RideTuning(
 
 HOLDING_PLAIN = RideTuning(
     RideWeights(
-        pitch_accel=1.34532,
+        pitch_accel=1.38568,
         roll_accel=0.767556,
         heave_rate=0.876253,
         pitch_rate=0.88094,
         roll_rate=1.03511,
-        suspension_front=91.0378,
-        suspension_rear=8.97828,
-        tire_front=9744.54,
-        tire_rear=10030.3,
+        suspension_front=182.076,
+        suspension_rear=17.9566,
+        tire_front=8964.98,
+        tire_rear=10732.4,
         force=5.964e-10,
     ),
     RoadPrior(noise=0.0308727, leak_radps=5.25088, bandwidth_radps=261.443, lane_correlation=0.0547095),

@@ -20,7 +20,7 @@ from tiger.estimation.identification import channel_wls, maximum_likelihood, phy
 from tiger.estimation.identification.excitation import multisine
 from tiger.estimation.identification.frf import FrfData, from_multisine, noise_at_rest
 from tiger.estimation.identification.model import fit_percent
-from tiger.models.full_car import BODY_ACCELERATION, FORCE, ROAD, FullCarParameters, full_car
+from tiger.models.full_car import BODY_ACCELERATION, CORNERS, FORCE, ROAD, FullCarParameters, full_car
 from tiger.models.linear import modes
 from tiger.studies import ride_cases
 from tiger.studies.performance import performance_index, simulate
@@ -89,7 +89,7 @@ def run(
     seed: int = 0,
     simultaneous: bool = False,
     closed_loop: bool = True,
-    loop_roads: int = 10,
+    loop_roads: int = 40,
     progress: Callable[[float], None] | None = None,
 ) -> Report:
     """Identify the vehicle from records of the given output signal-to-noise ratio.
@@ -323,6 +323,13 @@ def plot(report: Report, directory: Path) -> list[Path]:
         axis.loglog(s["line_hz"], s["measured_gain_si"][:, path], ".", ms=2, color="0.6", label="measured")
         axis.loglog(s["frequency_hz"], s["true_gain_si"][:, path], label="true")
         axis.loglog(s["frequency_hz"], s["maximum_likelihood_gain_si"][:, path], "--", label="identified")
+    inputs = [f"{kind} {corner}" for kind in ("road", "force") for corner in CORNERS]
+    for axis, name in zip(axes[0], inputs, strict=True):
+        axis.set_title(name)
+    for axis, name in zip(axes[:, 0], ("heave", "pitch", "roll"), strict=True):
+        axis.set_ylabel(f"{name} acceleration")
+    for axis in axes[2]:
+        axis.set_xlabel("Hz")
     axes[0, 0].legend()
     save(figure, "6_6_responses")
 
