@@ -18,11 +18,16 @@ from tiger.logs.topics import (
     JointState,
     KeyValue,
     MagneticField,
+    Odometry,
+    Point,
+    Pose,
+    PoseWithCovariance,
     Quaternion,
     QuaternionStamped,
     Time,
     Twist,
     TwistStamped,
+    TwistWithCovariance,
     Vector3,
 )
 from tiger.record import DaemonState
@@ -36,6 +41,7 @@ if TYPE_CHECKING:
 GRAVITY_MPS2 = 9.80665
 NS_PER_S = 1_000_000_000
 UNKNOWN = (0.0,) * 9  # a covariance of zeros means unknown (sensor_msgs/Imu)
+UNKNOWN_VARIANCE = 1e6  # of a pose or twist: REP 105 users take it for "not measured"
 CORNERS = ("fl", "fr", "rl", "rr")
 SILENT, ERROR, WARN, WELL = 3, 2, 1, 0
 
@@ -74,6 +80,7 @@ def messages(tick: Tick, newness: Newness, epoch_ns: int) -> Iterator[Stamped]:
         now = stamp(inputs.now_s)
         yield "/estimate/attitude", now, attitude(tick.outputs.estimate, header(now, "odom"))
         yield "/estimate/twist", now, estimated_twist(tick.outputs.estimate, header(now))
+        yield "/odom", now, odometry(tick.outputs.estimate, header(now, "odom"))
     if inputs.imu_raw is not None and newness.take("imu_raw", inputs.imu_raw):
         at = stamp(inputs.imu_raw.t_s)
         yield "/imu/mag", at, magnetic_field(inputs.imu_raw, header(at))
@@ -140,6 +147,29 @@ def estimated_twist(estimate: Estimate, head: Header) -> TwistStamped:
     """Speed from odometry, rates from the observer and the gyro."""
     turning = Vector3(estimate.roll_rate_radps, estimate.pitch_rate_radps, estimate.yaw_rate_radps)
     return TwistStamped(head, Twist(Vector3(estimate.speed_mps, 0.0, 0.0), turning))
+
+
+def odometry(estimate: Estimate, head: Header) -> Odometry:
+    """Dead reckoning, odom to base_link; what it does not estimate (height, sideways speed) is unknown."""
+    where = estimate.odometry
+    half = where.yaw_rad / 2.0
+    xx, xy, x_yaw, yy, y_yaw, yaw_yaw = where.covariance
+    pose, twist = [0.0] * 36, [0.0] * 36
+    for row, column, value in (
+        *((0, 0, xx), (0, 1, xy), (0, 5, x_yaw), (1, 1, yy), (1, 5, y_yaw), (5, 5, yaw_yaw)),
+        *((2, 2, UNKNOWN_VARIANCE), (3, 3, estimate.sigma_rad**2), (4, 4, estimate.sigma_rad**2)),
+    ):
+        pose[6 * row + column] = pose[6 * column + row] = value
+    for axis, value in ((0, where.speed_sigma_mps**2), (1, UNKNOWN_VARIANCE), (2, UNKNOWN_VARIANCE)):
+        twist[7 * axis] = value
+    place = Pose(Point(where.x_m, where.y_m, 0.0), Quaternion(0.0, 0.0, math.sin(half), math.cos(half)))
+    velocity = Twist(Vector3(where.speed_mps, 0.0, 0.0), Vector3(0.0, 0.0, where.yaw_rate_radps))
+    return Odometry(
+        head,
+        "base_link",
+        PoseWithCovariance(place, tuple(pose)),
+        TwistWithCovariance(velocity, tuple(twist)),
+    )
 
 
 def diagnostics(tick: Tick, health: Health, drives: tuple[DriveSample | None, ...], at_ns: int) -> Stamped:

@@ -150,6 +150,55 @@ class QuaternionStamped:
 
 
 Covariance = Annotated[tuple[float, ...], 9]
+PoseCovariance = Annotated[tuple[float, ...], 36]
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A place."""
+
+    ROS_PACKAGE: ClassVar[str] = "geometry_msgs"
+    x: float
+    y: float
+    z: float
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Place and orientation."""
+
+    ROS_PACKAGE: ClassVar[str] = "geometry_msgs"
+    position: Point
+    orientation: Quaternion
+
+
+@dataclass(frozen=True, slots=True)
+class PoseWithCovariance:
+    """A pose and the covariance of x, y, z and the turns about them, by rows."""
+
+    ROS_PACKAGE: ClassVar[str] = "geometry_msgs"
+    pose: Pose
+    covariance: PoseCovariance
+
+
+@dataclass(frozen=True, slots=True)
+class TwistWithCovariance:
+    """Velocities and their covariance, in the same order."""
+
+    ROS_PACKAGE: ClassVar[str] = "geometry_msgs"
+    twist: Twist
+    covariance: PoseCovariance
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry:
+    """Pose of `child_frame_id` in the frame of the header, and its velocities in its own axes."""
+
+    ROS_PACKAGE: ClassVar[str] = "nav_msgs"
+    header: Header
+    child_frame_id: str
+    pose: PoseWithCovariance
+    twist: TwistWithCovariance
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,6 +287,7 @@ TOPICS: dict[str, type] = {
     "/joint_states": JointState,
     "/estimate/attitude": QuaternionStamped,
     "/estimate/twist": TwistStamped,
+    "/odom": Odometry,
     "/command/twist": TwistStamped,
     "/diagnostics": DiagnosticArray,
 }

@@ -16,7 +16,7 @@ from mcap_ros2._dynamic import generate_dynamic, serialize_dynamic
 from tiger.logs import ros
 from tiger.logs.cdr import CdrError, message
 from tiger.logs.topics import TOPICS, Imu, JointState, LogStatus, WireBytes
-from tiger.record import ImuSample, Inputs, Outputs, Problem, ProblemKind, Record
+from tiger.record import Estimate, ImuSample, Inputs, Odometry, Outputs, Problem, ProblemKind, Record
 
 
 class Colour(IntEnum):
@@ -194,6 +194,32 @@ def test_a_body_with_its_left_side_up_feels_gravity_to_the_left() -> None:
     force = ros.imu(tilted, ros.header(0)).linear_acceleration
     assert force.y == pytest.approx(ros.GRAVITY_MPS2 * 0.5)
     assert force.x == pytest.approx(0.0)
+
+
+def test_dead_reckoning_is_a_pose_of_the_body_in_odom_with_its_covariance() -> None:
+    where = Odometry(
+        x_m=1.0,
+        y_m=-2.0,
+        yaw_rad=math.radians(90.0),
+        covariance=(0.01, 0.002, 0.003, 0.04, 0.005, 0.006),
+        speed_mps=0.7,
+        speed_sigma_mps=0.1,
+        yaw_rate_radps=0.2,
+    )
+    odom = ros.odometry(Estimate(odometry=where), ros.header(0, "odom"))
+    assert (odom.header.frame_id, odom.child_frame_id) == ("odom", "base_link")
+    pose, twist = odom.pose.pose, odom.twist.twist
+    assert (pose.position.x, pose.position.y) == (1.0, -2.0)
+    assert (pose.orientation.z, pose.orientation.w) == pytest.approx((math.sqrt(0.5), math.sqrt(0.5)))
+    assert (twist.linear.x, twist.angular.z) == (0.7, 0.2)
+    rows = [odom.pose.covariance[6 * row : 6 * row + 6] for row in range(6)]
+    assert [rows[a][b] for a in (0, 1, 5) for b in (0, 1, 5)] == [
+        *(0.01, 0.002, 0.003, 0.002, 0.04, 0.005, 0.003, 0.005, 0.006)
+    ]
+    assert rows[2][2] == ros.UNKNOWN_VARIANCE  # height is not estimated
+    assert odom.twist.covariance[0] == pytest.approx(0.01)
+    kind = message(type(odom))
+    assert kind.unpack(kind.pack(odom)) == odom
 
 
 def test_times_are_split_into_seconds_and_nanoseconds() -> None:
