@@ -64,9 +64,9 @@ def trusted(
 ) -> FourBools:
     """Tell which wheels agree with the speed that inertia gives, within what either may be off.
 
-    A wheel that slipped must come closer before it is believed again, and a speed that has been coasting for
-    long is only a weak reason to believe a wheel that is further off. The two wheels of a side scrub alike: if
-    they disagree, the one further off slips.
+    A wheel that slipped must come closer before it is believed again, and a speed that has been coasting
+    for long is only a weak reason to believe a wheel that is further off. The two wheels of a side scrub
+    alike: if they disagree, the one further off slips.
     """
     noise = config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps)
     spread = hypot(noise, config.scrub_noise * yaw_rate_radps * wheels.half_track_m[0])
@@ -88,7 +88,7 @@ def plausible(
     speed_sigma_mps: float,
     yaw_rate_radps: float,
 ) -> bool:
-    """Tell whether the mean of both sides agrees with inertia: scrub, which excuses one side, cancels in it."""
+    """Tell whether the mean of both sides, in which scrub cancels, agrees with inertia."""
     spread = config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps)
     spread += config.scrub_speed_m * abs(yaw_rate_radps)
     sigmas = config.regain_sigmas if any(state.slipping) else config.gate_sigmas
