@@ -264,8 +264,9 @@ def plot(report: Report, directory: Path) -> list[Path]:
         error = s[f"bumpy_error_{percent}_percent_si"]
         for i, axis in enumerate(axes):
             axis.hist(error[:, i], bins=60, density=True, histtype="step", label=f"{percent} %")
-    for axis, body in zip(axes, BODY, strict=True):
-        axis.set_xlabel(f"{body} acceleration error")
+    for axis, body, unit in zip(axes, BODY, ("m/s$^2$", "rad/s$^2$", "rad/s$^2$"), strict=True):
+        axis.set_xlabel(f"{body} acceleration error {unit}")
+    axes[0].set_ylabel("density")
     axes[0].legend(title="r_m")
     paths.append(directory / "figure_6_13_offsets.png")
     figure.savefig(paths[1], dpi=120)

@@ -83,7 +83,7 @@ def build(data: FrfData, order: int | None = None, iterations: int = THOROUGH) -
 
 def _parameters(data: FrfData, order: int) -> int:
     """Return the number of parameters that a model of `order` has, its choice of states apart."""
-    outputs, inputs = data.response.shape[1:]
+    outputs, inputs = int(data.response.shape[1]), int(data.response.shape[2])
     return order * (outputs + inputs) + outputs * inputs
 
 
@@ -217,9 +217,13 @@ def _normal_equations(
     size = len(x)
     products = rows @ rows.swapaxes(-1, -2)
     pairs = index[..., :, None] * size + index[..., None, :]
-    information = np.bincount(pairs.ravel(), products.ravel(), size * size).reshape(size, size)
-    gradient = np.bincount(index.ravel(), (rows @ target[..., None]).ravel(), size)
-    return float(np.sum(target**2)), information, gradient
+    information = _sums(pairs, products, size * size).reshape(size, size)
+    return float(np.sum(target**2)), information, _sums(index, rows @ target[..., None], size)
+
+
+def _sums(index: NDArray[np.int64], values: Array, size: int) -> Array:
+    """Add up the values that share an index, shape (size,)."""
+    return np.asarray(np.bincount(index.ravel(), values.ravel(), size), dtype=np.float64)
 
 
 def jacobian_of(
