@@ -61,19 +61,27 @@ def test_the_mean_of_both_sides_needs_no_scrub(
 @pytest.mark.parametrize("speed", [0.6, 1.0, 2.0, -1.0])
 def test_a_wheel_is_trusted_until_it_is_too_far_off(speed: float) -> None:
     def good(ratio: float, sigma: float = 0.01) -> bool:
-        wheels = slip.told(rolling(speed, ratio=(ratio, 0.0, 0.0, 0.0)), TRACK, 0.0, 1.0)
-        fl, *others = slip.trusted(CONFIG, SlipState(), wheels, speed, sigma, 0.0)
-        assert all(others)
+        wheels = slip.told(rolling(speed, ratio=(ratio, 0.0, ratio, 0.0)), TRACK, 0.0, 1.0)
+        fl, fr, rl, rr = slip.trusted(CONFIG, SlipState(), wheels, speed, sigma, 0.0)
+        assert fr
+        assert rr
+        assert fl == rl
         return fl
 
     assert good(0.02)
     assert not good(0.15)
     assert not good(-0.15)
-    assert good(0.15, sigma=1.0)  # after a minute without wheels nothing better is known
+    assert good(0.15, sigma=2.0)  # after a minute without wheels nothing better is known
+
+
+def test_of_two_wheels_of_a_side_that_disagree_the_one_further_off_slips() -> None:
+    """Even where a bend excuses either of them: scrub is common to both."""
+    wheels = slip.told(rolling(1.0, 0.4, 1.5, ratio=(0.0, 0.0, 0.0, 0.1)), TRACK, 0.4, 1.5)
+    assert slip.trusted(CONFIG, SlipState(), wheels, 1.0, 0.01, 0.4) == (True, True, True, False)
 
 
 def test_a_wheel_that_slipped_must_come_closer_to_be_believed() -> None:
-    wheels = slip.told(rolling(1.0, ratio=(0.06, 0.06, 0.0, 0.0)), TRACK, 0.0, 1.0)
+    wheels = slip.told(rolling(1.0, ratio=(0.06, 0.06, 0.06, 0.06)), TRACK, 0.0, 1.0)
     state = SlipState(slipping=(True, False, False, False))
     assert slip.trusted(CONFIG, state, wheels, 1.0, 0.01, 0.0) == (False, True, True, True)
 
