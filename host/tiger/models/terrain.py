@@ -315,7 +315,7 @@ class Terrain:
 
     def grip_at(self, x_m: ArrayLike, y_m: ArrayLike) -> Array:
         """Return the share of the tyres' friction at each place; x and y broadcast."""
-        return self._sampled(x_m, y_m)[3]
+        return np.asarray(self._sampled(x_m, y_m)[3])
 
     def _sampled(self, x_m: ArrayLike, y_m: ArrayLike) -> Array:
         x, y = np.broadcast_arrays(np.asarray(x_m, float), np.asarray(y_m, float))
