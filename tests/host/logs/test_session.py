@@ -222,7 +222,8 @@ def test_a_stalled_writer_never_holds_up_the_loop_and_drops_are_counted(
         assert log.problem is None
     summary = summarise(open_log(tmp_path))
     assert summary.dropped_packets == dropped
-    assert 0 <= TICKS_PER_PACKET * dropped - summary.missing_ticks < 4 * TICKS_PER_PACKET
+    # Almost every packet holds four ticks; one that is sent at once, because the state changed, holds fewer.
+    assert 0.98 <= summary.missing_ticks / (TICKS_PER_PACKET * dropped) <= 1.0
     assert examine(open_log(tmp_path).files[0].path) == []
 
 
