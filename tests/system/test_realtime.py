@@ -44,7 +44,7 @@ def test_levels_in_real_time_as_in_virtual_time(
 
     lateness = summary["lateness_us"]
     record_figure("control loop's p99 lateness, us", lateness["p99_us"], "reported")
-    assert lateness["ticks"] > 14 * 200 * 0.8  # a busy computer may miss ticks
+    assert lateness["ticks"] > 14 * 200 * 0.9  # a busy computer may miss ticks
     assert lateness["p99_us"] > 0.0
     assert "late by" in done.stdout
 
