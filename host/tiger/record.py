@@ -226,10 +226,10 @@ class Estimate:
     sigma_rad: float = 0.0  # standard deviation of the worse of roll and pitch
     speed_mps: float = 0.0  # odometry
     yaw_rate_radps: float = 0.0
-    odometry: Odometry = field(default_factory=Odometry)
-    loads: Loads = field(default_factory=Loads)
-    roughness: Roughness = field(default_factory=Roughness)
-    stability: Stability = field(default_factory=Stability)
+    odometry: Odometry = Odometry()
+    loads: Loads = Loads()
+    roughness: Roughness = Roughness()
+    stability: Stability = Stability()
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +238,7 @@ class Outputs:
 
     stroke_rate_mmps: Four = STILL  # positive raises the body
     wheel_rpm: Four = STILL
-    estimate: Estimate = field(default_factory=Estimate)
+    estimate: Estimate = Estimate()
     reason: str = ""  # mode of the controller in a few words
     error_rad: tuple[float, float] = (0.0, 0.0)  # roll and pitch still to go
     settled: bool = False  # at the setpoint, quiet
@@ -249,7 +249,7 @@ class Outputs:
         False,
         False,
     )  # corners at the end of their stroke
-    traction: Traction = field(default_factory=Traction)
+    traction: Traction = Traction()
 
 
 class ProblemKind(StrEnum):
