@@ -9,11 +9,10 @@ All filters run on the force that really acts, and tell within a few samples whi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import softmax
 
 from tiger.control.ride import PERIOD_S
 
@@ -33,9 +32,17 @@ class RideBank:
 
     controllers: tuple[RideController, ...]
     memory_s: float = 0.25
+    whitening: Array = field(init=False)
+    """What turns each controller's innovation into white noise of unit variance, (controllers, 3, 3)."""
+    handicap: Array = field(init=False)
+    """Half the log-determinant of each innovation covariance, (controllers,)."""
 
     def __post_init__(self) -> None:
         """Refuse controllers whose force acts late: a blend is formed for the sample it is measured in."""
+        factors = np.stack([np.linalg.cholesky(c.innovation) for c in self.controllers])
+        object.__setattr__(self, "whitening", np.linalg.inv(factors))
+        diagonals = np.diagonal(factors, axis1=1, axis2=2)
+        object.__setattr__(self, "handicap", np.log(diagonals).sum(axis=1))
         if any(controller.delay_samples for controller in self.controllers):
             raise ValueError("a bank needs controllers whose force acts at once (delay_samples = 0)")
 
@@ -55,10 +62,11 @@ class RideBank:
             imu - c.model.c @ predicted - c.model.d @ state.force_n
             for c, predicted in zip(self.controllers, state.predicted, strict=True)
         ]
-        evidence = (1 - PERIOD_S / self.memory_s) * state.evidence + np.stack(
-            [_log_likelihood(e, c.innovation) for e, c in zip(innovations, self.controllers, strict=True)]
-        )
-        share = softmax(evidence, axis=0)
+        white = self.whitening @ np.stack(innovations).reshape(len(self.controllers), 3, -1)
+        handicap = self.handicap.reshape(-1, *(1,) * (imu.ndim - 1))
+        likelihood = -0.5 * (white * white).sum(axis=1).reshape(state.evidence.shape) - handicap
+        evidence = (1 - PERIOD_S / self.memory_s) * state.evidence + likelihood
+        share = shares(evidence)
         estimates = [
             predicted + c.filter_gain @ e
             for c, predicted, e in zip(self.controllers, state.predicted, innovations, strict=True)
@@ -102,9 +110,8 @@ def oblique(
     )
 
 
-def _log_likelihood(innovation: Array, covariance: Array) -> Array:
-    """Return the Gaussian log-likelihood of an innovation (3,) or (3, runs), less what all have in
-    common."""
-    _, log_determinant = np.linalg.slogdet(covariance)
-    whitened = np.linalg.solve(covariance, innovation)
-    return np.asarray(-0.5 * (log_determinant + np.sum(innovation * whitened, axis=0)))
+def shares(evidence: Array) -> Array:
+    """Return the probability of each controller, from log-likelihoods (controllers,) or (controllers,
+    runs)."""
+    odds = np.exp(evidence - evidence.max(axis=0))
+    return np.asarray(odds / odds.sum(axis=0))
