@@ -62,7 +62,7 @@ def picture(record: Record, overview: Overview, log_lines: list[str], title: str
 def _body(record: Record) -> Table:
     estimate = record.outputs.estimate
     table = Table(box=None, padding=(0, 2))
-    for heading in ("", "roll", "pitch", "roll rate", "pitch rate"):
+    for heading in ("", "roll", "pitch", "roll rate", "pitch rate", "odometry"):
         table.add_column(heading, justify="right")
     degrees = [
         math.degrees(value)
@@ -74,9 +74,13 @@ def _body(record: Record) -> Table:
         )
     ]
     known = estimate.ready
-    table.add_row("body", *(f"{value:+.2f}°{unit}" if known else "-" for value, unit in _with_units(degrees)))
+    where = estimate.odometry
+    body = [f"{value:+.2f}°{unit}" if known else "-" for value, unit in _with_units(degrees)]
+    table.add_row("body", *body, f"{where.x_m:+.2f} {where.y_m:+.2f} m")
     ground = [math.degrees(estimate.plate_roll_rad), math.degrees(estimate.plate_pitch_rad)]
-    table.add_row("ground", *(f"{value:+.2f}°" if known else "-" for value in ground), "", "")
+    slope = [f"{value:+.2f}°" if known else "-" for value in ground]
+    moving = f"{math.degrees(where.yaw_rad):+.1f}° {where.speed_mps:+.2f} m/s"
+    table.add_row("ground", *slope, "", "", moving)
     return table
 
 

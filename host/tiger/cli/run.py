@@ -58,6 +58,7 @@ class Journal:
                 "pitch_est_deg",
                 "stroke_mm",
                 "rate_cmd_mmps",
+                *("x_m", "y_m", "yaw_deg", "speed_mps", "slip_ratio"),
             )
         }
     )
@@ -99,7 +100,7 @@ class Journal:
     ) -> None:
         roll_true, pitch_true = truth_deg or (None, None)
         known = record.outputs.estimate.ready
-        strokes = record.inputs.strokes
+        strokes, where = record.inputs.strokes, record.outputs.estimate.odometry
         row = {
             "time_s": round(time_s, 6),
             "roll_true_deg": roll_true,
@@ -108,6 +109,11 @@ class Journal:
             "pitch_est_deg": attitude[1] if known else None,
             "stroke_mm": list(strokes.stroke_mm) if strokes else [None] * 4,
             "rate_cmd_mmps": list(record.outputs.stroke_rate_mmps),
+            "x_m": where.x_m,
+            "y_m": where.y_m,
+            "yaw_deg": math.degrees(where.yaw_rad),
+            "speed_mps": where.speed_mps,
+            "slip_ratio": list(where.slip_ratio),
         }
         for name, value in row.items():
             self.series[name].append(value)
