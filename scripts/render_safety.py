@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from tiger.config.robot import SafetyConfig, load_robot
-from tiger.daemon.limits import LIMITS, Limit
+from tiger.daemon.limits import LIMITS, TIPPING_STEP, TRIPPED_STEP, Limit
 from tiger.daemon.supervisor import TABLE
 from tiger.devices.roboteq import (
     CHANGED,
@@ -66,7 +66,8 @@ def action(limit: Limit, safety: SafetyConfig) -> str:
 
 def page() -> str:
     """Return the whole page."""
-    safety = load_robot(None).safety
+    robot = load_robot(None)
+    safety = robot.safety
     limits = [
         (
             limit.where,
@@ -79,6 +80,10 @@ def page() -> str:
     ]
     low_v = f"at least {safety.battery_low_v:g}"
     limits.append(("battery", "voltage is … V", low_v, "is shown", "Charge it soon."))
+    near = f"warning time {robot.stability.warning_time_s:g} s, margin {robot.stability.warning_margin:g}"
+    limits.append(("body", "may tip over to the …, … % of the margin left", near, "is shown", TIPPING_STEP))
+    blow = f"blow of {robot.stability.trip_blow_mps:g} m/s"
+    limits.append(("body", "ran into something", blow, "is shown; limiter stops it for a moment", TRIPPED_STEP))
     drive_faults = [(f"{decode_flags(flag, FaultFlag)[0]} (?FF)", text) for flag, text in REMEDY.items()]
     drive_faults += [(f"motor {name} (?FM)", MOTOR_REMEDY) for name in decode_flags(MOTOR_FAULTS, MotorFlag)]
     drive_faults.append((f"{CHANGED}, twice within a second", CHANGED_REMEDY))

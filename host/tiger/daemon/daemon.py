@@ -516,6 +516,9 @@ class Daemon:
             found.append(self._waiting_for)
         if self._low_battery() is not None:
             found.append(self._low_battery())  # type: ignore[arg-type]
+        tipping = limits.tip_warning(self._estimate)
+        if tipping is not None:
+            found.append(tipping)
         if self.state is DaemonState.DISARMED:
             self._calibrate_imu()
         self._problems = tuple(dict.fromkeys(found))

@@ -192,6 +192,22 @@ def exceeded(
             yield problem
 
 
+TIPPING_STEP = "Slow down, turn less, and drive back the way it came."
+TRIPPED_STEP = "Look at what it ran into before driving on."
+
+
+def tip_warning(estimate: Estimate) -> Problem | None:
+    """What is shown, and stops nothing, when the robot comes near tipping over or has run into something."""
+    stability = estimate.stability
+    if stability.tripped:
+        return Problem(ProblemKind.LIMIT, "body", "ran into something", TRIPPED_STEP)
+    if not stability.warning:
+        return None
+    side = ("left", "right", "front", "rear")[stability.edge]
+    text = f"may tip over to the {side}, {100.0 * max(stability.margin, 0.0):.0f} % of the margin left"
+    return Problem(ProblemKind.LIMIT, "body", text, TIPPING_STEP)
+
+
 def is_late(safety: SafetyConfig, inputs: Inputs) -> bool:
     """Whether the attitude or the strokes are so old that nothing should move on them."""
     imu, strokes, now_s = inputs.imu, inputs.strokes, inputs.now_s

@@ -29,6 +29,7 @@ from tiger.record import (
     ImuSample,
     Inputs,
     ProblemKind,
+    Stability,
     StrokeSample,
     WheelSample,
 )
@@ -256,3 +257,13 @@ def test_anything_else_gives_no_bias(samples: list[ImuRawSample]) -> None:
 def test_the_bias_goes_to_the_nano_in_counts_and_marks_it_calibrated() -> None:
     messages = bias_messages(BIAS)
     assert [(m.node, m.value) for m in messages] == [(1, 10_000), (1, -15_000), (1, 2_000), (1, 1)]
+
+
+def test_coming_near_tipping_is_shown_with_the_side_and_what_is_left() -> None:
+    calm = Estimate(ready=True)
+    assert limits.tip_warning(calm) is None
+    near = replace(calm, stability=Stability(margin=0.07, edge=1, warning=True))
+    assert "to the right, 7 %" in str(limits.tip_warning(near))
+    hit = replace(near, stability=replace(near.stability, tripped=True))
+    assert "ran into something" in str(limits.tip_warning(hit))
+    assert not list(limits.exceeded(load_robot().safety, Inputs(now_s=0.0, armed=True), near, is_armed=True))
