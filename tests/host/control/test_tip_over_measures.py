@@ -68,10 +68,9 @@ def test_a_moment_that_holds_the_weight_s_own_about_the_edge_leaves_nothing() ->
 @pytest.mark.parametrize(("axis", "sign"), [(1, -1.0), (0, -1.0)])
 @pytest.mark.parametrize("push", [-3.0, 0.0, 2.0])
 def test_load_transfer_of_a_rigid_robot_is_h_f_over_g_w(axis: int, sign: float, push: float) -> None:
-    force = [0.0, 0.0, G]
-    force[axis] = push
+    force = (push, 0.0, G) if axis == 0 else (0.0, push, G)
     half = (0.5, 0.6)[axis]
-    transfers = tip_over.load_transfer(RIGID, tip_over.contacts(RIGID, STILL), (*force,), STILL)
+    transfers = tip_over.load_transfer(RIGID, tip_over.contacts(RIGID, STILL), force, STILL)
     assert transfers[1 - axis] == pytest.approx(sign * 0.5 * push / G / half)
     assert transfers[axis] == pytest.approx(0.0)
 
