@@ -240,6 +240,7 @@ class OdometryConfig(_Section):
     gate_sigmas: Positive
     regain_sigmas: Positive
     coasting_sigmas: Positive
+    longest_slip_s: Positive
     longest_tooth_s: Positive
     memory: Positive
     push_time_s: Annotated[float, Field(ge=0.02, strict=True)]
@@ -294,6 +295,7 @@ class LoadsConfig(_Section):
     rolling_spread: Positive
     moving_mps: Positive
     turning_degps: Positive
+    steady_mps2: Positive
     tilt_bandwidth_radps: Annotated[float, Field(ge=0.1, le=5.0, strict=True)]
     changed_sigmas: Annotated[float, Field(ge=3.0, le=20.0, strict=True)]
     load_noise_n: Positive

@@ -33,6 +33,7 @@ class SlipState:
     apart_s: Four = STILL  # for how long a wheel has been beyond the threshold (+) or within it (-)
     slipping: FourBools = NONE
     ratio: Four = STILL
+    coasting_s: float = 0.0  # since a wheel was believed
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,14 +71,24 @@ def trusted(
     """
     noise = config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps)
     spread = hypot(noise, config.scrub_noise * yaw_rate_radps * wheels.half_track_m[0])
-    coasting = config.coasting_sigmas * speed_sigma_mps
-    most, closer = config.gate_sigmas * spread + coasting, config.regain_sigmas * spread + coasting
+    most, closer = _gates(config, state, spread, speed_sigma_mps)
     off = [abs(told - speed_mps) for told in wheels.told_mps]
     good = [far < (closer if slipped else most) for far, slipped in zip(off, state.slipping, strict=True)]
     for front, rear in ((0, 2), (1, 3)):
         if abs(wheels.told_mps[front] - wheels.told_mps[rear]) > config.gate_sigmas * noise:
             good[front if off[front] > off[rear] else rear] = False
     return _bools(good)
+
+
+def _gates(
+    config: OdometryConfig, state: SlipState, spread_mps: float, speed_sigma_mps: float
+) -> tuple[float, float]:
+    """How far off a wheel may be, and one that slipped; after long coasting the speed is doubted instead."""
+    if state.coasting_s > config.longest_slip_s:
+        most = config.gate_sigmas * (spread_mps + speed_sigma_mps)
+        return most, most
+    coasting = config.coasting_sigmas * speed_sigma_mps
+    return config.gate_sigmas * spread_mps + coasting, config.regain_sigmas * spread_mps + coasting
 
 
 def plausible(
@@ -91,8 +102,8 @@ def plausible(
     """Tell whether the mean of both sides, in which scrub cancels, agrees with inertia."""
     spread = config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps)
     spread += config.scrub_speed_m * abs(yaw_rate_radps)
-    sigmas = config.regain_sigmas if any(state.slipping) else config.gate_sigmas
-    return abs(mean_mps - speed_mps) < sigmas * spread + config.coasting_sigmas * speed_sigma_mps
+    most, closer = _gates(config, state, spread, speed_sigma_mps)
+    return abs(mean_mps - speed_mps) < (closer if any(state.slipping) else most)
 
 
 def mean_of(told_mps: Four, good: FourBools) -> tuple[float, bool]:
@@ -142,7 +153,8 @@ def step(
         apart = (b + d - a - c) / sum(wheels.half_track_m)
         seen = min(max(apart / yaw_rate_radps, 1.0), config.scrub_most)
         scrub += config.scrub_learning_per_rad * turning * dt * (seen - scrub)
-    return SlipState(scrub, _four(times), _bools(slipping), _four(ratios))
+    coasting_s = 0.0 if any(good) else state.coasting_s + dt
+    return SlipState(scrub, _four(times), _bools(slipping), _four(ratios), coasting_s)
 
 
 def _four(values: list[float]) -> Four:
