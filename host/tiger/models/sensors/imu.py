@@ -7,7 +7,7 @@ axes are ISO 8855 (x forward, y left, z up); leading dimensions are free, the la
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, pi
+from math import exp, pi, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -196,7 +196,7 @@ class Triad:
         """Return one reading."""
         spec = self._spec
         if spec.bias_walk > 0.0:
-            self.bias += spec.bias_walk * np.sqrt(self._unread_s) * self._random.standard_normal(3)
+            self.bias += spec.bias_walk * sqrt(self._unread_s) * self._random.standard_normal(3)
         self._unread_s = 0.0
         noise = next(self._noise, None)
         if noise is None:
