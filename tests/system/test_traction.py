@@ -84,8 +84,8 @@ def test_equal_shares_make_of_each_side_an_open_differential() -> None:
     assert fr == pytest.approx(rr, abs=0.25)
     _, alone = ride(robot_with(mode="log"), course)
     fl, fr, rl, rr = alone["torque_nm"].mean(axis=0)
-    assert rl - fl > 0.8  # without: the loaded wheel does more
-    assert fr - rr > 0.8
+    assert rl - fl > 0.5  # without: the loaded wheel does more
+    assert fr - rr > 0.5
 
 
 def test_shared_by_load_the_forces_are_in_proportion_to_the_loads() -> None:
