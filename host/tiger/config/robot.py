@@ -203,6 +203,7 @@ class BalanceConfig(_Section):
     """Mode `balance`."""
 
     probe_mm: Positive
+    probe_mmps: Positive
     settle_mm: Positive
     wake_mm: Positive
     sure: Annotated[float, Field(gt=0.5, lt=1.0, strict=True)]

@@ -221,7 +221,7 @@ def step(design: PayloadDesign, state: PayloadState, now: Measured, dt: float) -
     else:
         ahead, accel, tilting = fx, 0.0, (fx, fy)
     mean, covariance = state.mean, state.covariance
-    if now.fresh and _tells(design, now):
+    if now.fresh and _tells(design, now, ahead - tilting[0]):
         row, foretold = _driven(design, mean, now, tilting[0], accel)
         variance = design.config.force_noise_mps2**2
         mean, covariance = _corrected(mean, covariance, row, ahead - foretold, variance)
@@ -299,10 +299,11 @@ def _direction(design: PayloadDesign, speed_mps: float) -> float:
     return math.copysign(1.0, speed_mps) if abs(speed_mps) > design.config.moving_mps else 0.0
 
 
-def _tells(design: PayloadDesign, now: Measured) -> bool:
-    """Whether the drive forces say something of the mass: rolling, straight on, without slip."""
-    moving = abs(now.wheels_mps) > design.config.moving_mps
-    return moving and now.gripping and abs(now.yaw_rate_radps) < design.turning_radps
+def _tells(design: PayloadDesign, now: Measured, changing_mps2: float) -> bool:
+    """Whether the drive forces say something of the mass: rolling steadily, straight on, without slip."""
+    config = design.config
+    steady = abs(now.wheels_mps) > config.moving_mps and abs(changing_mps2) < config.steady_mps2
+    return steady and now.gripping and abs(now.yaw_rate_radps) < design.turning_radps
 
 
 def _lever(design: PayloadDesign, mean: Array) -> tuple[float, float]:

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from tiger.emulation.body import Motion
     from tiger.emulation.scenarios import Scenario
 
-TICK_S = 0.005
+TICK_S, STEP_S, STEPS = 0.005, 0.001, 5
 ACCEL_NOISE_MPS2, ACCEL_STEP_MPS2, GYRO_NOISE_RADPS = 0.012, 0.01, 0.0015  # a BNO055 in its bandwidth
 AIM_PER_M = 0.3  # how sharply it steers back
-CURRENTS_EVERY = 16  # ticks between two readings of a Roboteq's currents
+CURRENTS_EVERY, CURRENTS_LATE = 16, 3  # ticks between two readings of a Roboteq's currents, and their age
 
 
 class Tick(NamedTuple):
@@ -71,23 +71,28 @@ def rolling(
         return stroke, [1e-3 * (curve.at(s)[0] - datum) for s in stroke]
 
     body = VehicleBody(vehicle, scenario, (0.0, 0.0), pose(0.0)[1])
-    body.prepare(TICK_S)
-    before, current, sample = np.array(body.rate_radps), np.zeros(4), None
+    body.prepare(STEP_S)
+    before, sample = np.array(body.rate_radps), None
+    current = reading = np.zeros(4)
     for tick in range(round(scenario.duration_s / TICK_S)):
         now_s = tick * TICK_S
-        speed, yaw_rate = commanded(now_s)
-        if along_x:
-            aside = body.motion().position_m[1]
-            yaw_rate -= speed * (AIM_PER_M * (body.attitude_rad[2] + AIM_PER_M * aside))
-        left, right = ((speed - yaw_rate * y) * rpm_per_mps for y in (half_track, -half_track))
         stroke, lift = pose(now_s)
-        body.advance((0.0, 0.0), lift, (left, right, left, right))
+        back = 0.0
+        if along_x:
+            back = AIM_PER_M * (body.attitude_rad[2] + AIM_PER_M * body.motion().position_m[1])
+        for step in range(STEPS):  # a command in stairs of 5 ms would make a saw of the torque
+            speed, yaw_rate = commanded(now_s + STEP_S * step)
+            yaw_rate -= speed * back
+            left, right = ((speed - yaw_rate * y) * rpm_per_mps for y in (half_track, -half_track))
+            body.advance((0.0, 0.0), lift, (left, right, left, right))
         if tick % 2 == 0:
             rate = np.array(body.rate_radps)
             sample = _imu(now_s, body, (rate - before) / (2.0 * TICK_S), random)
             before = rate
         if tick % CURRENTS_EVERY == 0:
-            current = motor.measured_a(motor.true_a(body.wheel_torque_nm, body.wheel_radps), random)
+            reading = motor.measured_a(motor.true_a(body.wheel_torque_nm, body.wheel_radps), random)
+        if tick % CURRENTS_EVERY == CURRENTS_LATE:
+            current = reading
         yield Tick(_inputs(now_s, body, stroke, sample, current), body.motion(), body.attitude_rad)
 
 
