@@ -51,7 +51,7 @@ def closed_loop(
 ) -> LinearModel:
     """Close the loop of a vehicle and a controller that may have been designed for another one.
 
-    States: car (14), filter, and the forces computed before. Inputs: ROAD held over a period, NOISE on the
+    States: car (14), filter, the forces computed before, and the push that acted until now. Inputs: ROAD held over a period, NOISE on the
     IMU, PUSH. Outputs: accelerations, deflections and FORCE as computed. `delay_s` is any time from
     measurement to force.
     """
@@ -65,7 +65,7 @@ def closed_loop(
     after, in_rest, _ = hold(car.a, car.b, rest)
     _, in_first, _ = hold(car.a, car.b, first)
 
-    size = 14 + n + 4 * depth
+    size = 14 + n + 4 * depth + 4
     columns = size + 4 + 3 + 4  # states, road, noise, push: every row below is a map from these
 
     def take(start: int, count: int) -> Array:
@@ -73,10 +73,11 @@ def closed_loop(
 
     x, estimate_before = take(0, 14), take(14, n)
     past = [take(14 + n + 4 * i, 4) for i in range(depth)]  # past[i] was computed i + 1 samples ago
+    pushed = take(size - 4, 4)
     road, noise, push = take(size, 4), take(size + 4, 3), take(size + 7, 4)
 
     imu = car.select(inputs=FORCE, outputs=IMU)
-    measured = imu.c @ x + imu.d @ (past[int(late)] + push) + noise
+    measured = imu.c @ x + imu.d @ (past[int(late)] + pushed) + noise
     believed = past[controller.delay_samples]
     estimate = estimate_before + controller.filter_gain @ (
         measured - model.c @ estimate_before - model.d @ believed
@@ -97,12 +98,13 @@ def closed_loop(
     )
     outputs = car.select(outputs=OUTPUTS[:-4])
     seen = outputs.c @ x + outputs.d[:, :4] @ road + outputs.d[:, 4:] @ (acting + push)
-    step = np.vstack([moved, predicted, force, *past[:-1]])
+    step = np.vstack([moved, predicted, force, *past[:-1], push])
     out = np.vstack([seen, force])
     states = (
         *car.states,
         *(f"estimate_{i}" for i in range(n)),
         *(f"force_{corner}_{i + 1}_ago_n" for i in range(depth) for corner in CORNERS),
+        *(f"pushed_{corner}_n" for corner in CORNERS),
     )
     return LinearModel(
         step[:, :size],
@@ -129,7 +131,9 @@ def margins(p: FullCarParameters, controller: RideController, lines: int = 300) 
         raise ValueError("the closed loop is unstable as designed: it has no margins")
     loop = closed_loop(p, controller, designed).select(inputs=PUSH, outputs=FORCE)
     frequency = np.geomspace(0.05, 0.499 / PERIOD_S, lines)
-    sensitivity = loop.frequency_response(frequency) + np.eye(4)
+    # What acts is the push and the force computed `delay_samples` ago.
+    late = np.exp(-2j * np.pi * frequency * designed)[:, None, None]
+    sensitivity = late * loop.frequency_response(frequency) + np.eye(4)
     centred = sensitivity - 0.5 * np.eye(4)
     single = 1 / float(np.abs(np.diagonal(centred, axis1=1, axis2=2)).max())
     together = 1 / float(np.linalg.norm(centred, ord=2, axis=(1, 2)).max())
