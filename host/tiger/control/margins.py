@@ -51,9 +51,9 @@ def closed_loop(
 ) -> LinearModel:
     """Close the loop of a vehicle and a controller that may have been designed for another one.
 
-    States: car (14), filter, the forces computed before, and the push that acted until now. Inputs: ROAD held over a period, NOISE on the
-    IMU, PUSH. Outputs: accelerations, deflections and FORCE as computed. `delay_s` is any time from
-    measurement to force.
+    States: car (14), filter, the forces computed before, and the push that acted until now. Inputs: ROAD held
+    over a period, NOISE on the IMU, PUSH. Outputs: accelerations, deflections and FORCE as computed.
+    `delay_s` is any time from measurement to force.
     """
     model = controller.model
     n = len(model.a)
