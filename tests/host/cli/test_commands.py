@@ -80,6 +80,7 @@ def test_a_run_in_virtual_time_arms_and_writes_its_figures(
     assert list(series) == [
         *("time_s", "roll_true_deg", "pitch_true_deg", "roll_est_deg", "pitch_est_deg"),
         *("stroke_mm", "rate_cmd_mmps"),
+        *("x_m", "y_m", "yaw_deg", "speed_mps", "slip_ratio"),
     ]
     assert series["time_s"][-1] == pytest.approx(5.0, abs=0.02)
     assert len(series["stroke_mm"][-1]) == len(series["rate_cmd_mmps"][-1]) == 4
@@ -87,6 +88,9 @@ def test_a_run_in_virtual_time_arms_and_writes_its_figures(
     assert series["roll_true_deg"][-1] == pytest.approx(0.0, abs=0.1)
     assert report["summary"]["state"] == "ARMED"
     assert report["summary"]["stops"] == []
+    assert len(report["summary"]["drive"]["energy_j"]) == 4
+    assert report["summary"]["drive"]["lowest_battery_v"] == pytest.approx(24.0, abs=0.2)
+    assert report["summary"]["log"] is None
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ def test_drive_drives_for_so_long_and_then_stands(disarmed: Any) -> None:
     assert ctl("arm").exit_code == 0
     disarmed.fastest_radps = 0.0
     result = ctl("drive", "--speed", "0.4", "--for", "1.5")
-    assert (result.exit_code, result.output) == (0, "released\n")
+    assert (result.exit_code, result.output) == (0, "drove for 1.5 s; it slows down and stands still\n")
     assert disarmed.fastest_radps > 1.0
     assert disarmed.rig.daemon.command.speed_mps == 0.0
     assert disarmed.api.desk.helm is None

@@ -36,7 +36,7 @@ def test_the_default_is_the_real_robot_at_200_hz() -> None:
     robot = load_robot()
     assert robot.vehicle == load_vehicle("tiger")
     assert robot.loop.period_s == 0.005
-    assert robot.leveling.dead_zone_deg == 0.2
+    assert robot.leveling.dead_zone_deg == 0.27
     assert robot.stroke_range_mm == (1.5, 68.5)
 
 
@@ -66,7 +66,7 @@ def test_a_users_file_changes_only_what_it_names(write: Callable[[str], Path]) -
     robot = load_robot(write("[leveling]\ndead_zone_deg = 0.15\n"))
     default = load_robot()
     assert robot.leveling.dead_zone_deg == 0.15
-    assert robot.leveling.model_copy(update={"dead_zone_deg": 0.2}) == default.leveling
+    assert robot.leveling.model_copy(update={"dead_zone_deg": 0.27}) == default.leveling
     assert robot.safety == default.safety
 
 
