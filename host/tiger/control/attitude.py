@@ -47,8 +47,13 @@ class Target:
     pitch_rate_radps: float = 0.0
     unreachable: bool = False
     """The strokes do not reach what was asked for; `pose` is the nearest."""
-    twists: bool = False
-    """The twist of the pose is wanted for its own sake: at full speed, and reason enough for a move."""
+    twist_mmps: float = 0.0
+    """The twist of the pose is wanted for its own sake: so fast at most, and reason enough for a move."""
+
+    @property
+    def twists(self) -> bool:
+        """Whether it is."""
+        return self.twist_mmps > 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -275,7 +280,8 @@ def _warping(design: LevelingDesign, target: Target, error_mm: float, speed: Pos
     if not target.twists:
         return design.config.warp_rate_per_s * error_mm
     rate = design.error_gain_per_s * error_mm - design.rate_gain * speed.warp_mm
-    return min(design.lift_rate_mmps, max(-design.lift_rate_mmps, rate))
+    most = min(design.lift_rate_mmps, target.twist_mmps)
+    return min(most, max(-most, rate))
 
 
 def _allocate(

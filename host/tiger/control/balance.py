@@ -93,31 +93,25 @@ def reason(state: BalanceState, contact: Contact) -> str:
 # ---- phases -----------------------------------------------------
 
 
-def _lifted(contact: Contact) -> float:
-    """Probability that a wheel of the diagonal FL-RR hangs, less that of FR-RL."""
-    fl, fr, rl, rr = contact.hanging
-    return fl + rr - fr - rl
-
-
 def _after_probe(config: BalanceConfig, state: BalanceState, now: Situation) -> Phase:
-    if abs(_lifted(now.contact)) > config.sure:
+    if abs(now.contact.lifted) > config.sure:
         return Phase.SEARCH
     tried_mm = state.highest_mm - state.lowest_mm
     return Phase.CENTRE if tried_mm >= _TRIED * config.probe_mm else Phase.PROBE
 
 
 def _after_search(config: BalanceConfig, state: BalanceState, now: Situation) -> Phase:
-    return Phase.SEARCH if abs(_lifted(now.contact)) > 1.0 - config.sure else Phase.CENTRE
+    return Phase.SEARCH if abs(now.contact.lifted) > 1.0 - config.sure else Phase.CENTRE
 
 
 def _after_centre(config: BalanceConfig, state: BalanceState, now: Situation) -> Phase:
-    if abs(_lifted(now.contact)) > config.sure:
+    if abs(now.contact.lifted) > config.sure:
         return Phase.SEARCH
     return Phase.HOLD if abs(now.level_mm - now.warp_mm) < config.settle_mm else Phase.CENTRE
 
 
 def _after_hold(config: BalanceConfig, state: BalanceState, now: Situation) -> Phase:
-    if abs(_lifted(now.contact)) > config.sure:
+    if abs(now.contact.lifted) > config.sure:
         return Phase.SEARCH
     return Phase.CENTRE if abs(now.level_mm - state.wanted_mm) > config.wake_mm else Phase.HOLD
 
@@ -131,7 +125,7 @@ def _probing_mm(config: BalanceConfig, state: BalanceState, now: Situation) -> f
 
 
 def _searching_mm(config: BalanceConfig, state: BalanceState, now: Situation) -> float:
-    return math.copysign(now.most_mm, _lifted(now.contact))
+    return math.copysign(now.most_mm, now.contact.lifted)
 
 
 def _centring_mm(config: BalanceConfig, state: BalanceState, now: Situation) -> float:

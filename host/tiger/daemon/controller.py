@@ -130,8 +130,10 @@ def step(
     if not inputs.armed:
         return _at_rest(state), Outputs(estimate=estimate, reason="not armed")
 
-    balancing = _balancing(design, state, command, strokes.stroke_mm)
-    target, reason = _target(design, command, _Known(estimate, ground, balancing, known.contact.contact))
+    posed = _posed_now(design, strokes.stroke_mm)
+    balancing = _balancing(design, state, command, posed)
+    now = _Known(estimate, ground, balancing, known.contact.contact)
+    target, reason = _target(design, command, now)
     leveling, levelled = attitude.step(design.leveling, state.leveling, target, strokes.stroke_mm, dt)
     driving, wheel_rpm = drive.step(design.drive, state.drive, command, inputs, dt)
     gripping, forces, wheel_rpm = traction.step(
@@ -155,17 +157,21 @@ def step(
     return replace(state, leveling=leveling, balance=balancing, drive=driving, traction=gripping), outputs
 
 
+def _posed_now(design: ControllerDesign, stroke_mm: Four) -> Pose:
+    """Pose of the body against its wheels that the strokes make."""
+    at = design.leveling.suspension.curve.at
+    fl, fr, rl, rr = (at(stroke)[0] for stroke in stroke_mm)
+    return design.leveling.suspension.pose((fl, fr, rl, rr))
+
+
 def _balancing(
-    design: ControllerDesign, state: ControllerState, command: Command, stroke_mm: Four
+    design: ControllerDesign, state: ControllerState, command: Command, posed: Pose
 ) -> BalanceState:
     """Advance mode balance; in any other mode it waits at its beginning."""
     if command.mode is not Mode.BALANCE:
         return BalanceState()
-    suspension = design.leveling.suspension
-    at = suspension.curve.at
-    fl, fr, rl, rr = (at(stroke)[0] for stroke in stroke_mm)
-    warp_mm = suspension.pose((fl, fr, rl, rr)).warp_mm
-    now = balance.Situation(state.situation.contact.contact, warp_mm, suspension.warp_most_mm)
+    contact, most_mm = state.situation.contact.contact, design.leveling.suspension.warp_most_mm
+    now = balance.Situation(contact, posed.warp_mm, most_mm)
     return balance.step(design.robot.balance, state.balance, now)
 
 
@@ -233,15 +239,11 @@ def _level(design: ControllerDesign, command: Command, known: _Known) -> Target 
 def _balance(design: ControllerDesign, command: Command, known: _Known) -> Target | None:
     """As level, as far as the twist of the strokes leaves it that shares the load: wheels first."""
     (roll, roll_rate), (pitch, pitch_rate) = _followable_ground(design, known)
-    level = _posed(
-        design,
-        command,
-        command.roll_rad - roll,
-        command.pitch_rad - pitch,
-        (-roll_rate, -pitch_rate),
-        known.balance.wanted_mm,
-    )
-    return replace(level, twists=True)
+    roll, pitch = command.roll_rad - roll, command.pitch_rad - pitch
+    target = _posed(design, command, roll, pitch, (-roll_rate, -pitch_rate), known.balance.wanted_mm)
+    probing = known.balance.phase == balance.Phase.PROBE
+    twist_mmps = design.robot.balance.probe_mmps if probing else design.leveling.lift_rate_mmps
+    return replace(target, twist_mmps=twist_mmps)
 
 
 def _balance_reason(command: Command, known: _Known) -> str:

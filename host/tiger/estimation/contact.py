@@ -9,9 +9,9 @@ twist at lift-off is known from weight and springs: (4.6) at rest with `Fz = max
 Only one number is unknown, the ground's twist g: +g under FL and RR, -g under FR and RL. A Bayes filter
 keeps its probability on a grid. Each candidate foretells how roll and pitch follow the strokes, beyond an
 offset (the slope of the ground) that it learns for itself. The wheel that hangs may be the front or the
-rear one of its diagonal: both are carried along. A motor that pushes proves that its wheel is on the
-ground. Driving brings new ground: what was known gives way, with the distance, to what the front wheels
-have told of it (`ground_track`).
+rear one of its diagonal, or, as on a tightrope, both: all three are carried along, and pass into each
+other. A motor that pushes proves that its wheel is on the ground. Driving brings new ground: what was known
+gives way, with the distance, to what the front wheels have told of it (`ground_track`).
 
 Twists are amplitudes in mm at each corner, a quarter of FL - FR - RL + RR.
 """
@@ -40,9 +40,13 @@ if TYPE_CHECKING:
 
 _GRID_MM = 2.5
 _REACH_OF_GRID_MM = 160.0
+_SIDES = 3
 _CANDIDATES = 2 * round(_REACH_OF_GRID_MM / _GRID_MM) + 1
-_OTHER_SIDE = 0.02
-"""How readily, at each update, front and rear wheel of a hanging pair are taken for each other."""
+_TIPS = 0.05
+"""How readily, at each update in which the strokes twist, the body tips over the diagonal it stands on."""
+_STILL_MM = 0.3
+_TIGHTROPE = 0.2
+"""How likely it then stands on two wheels alone."""
 _SURE_MM = 8.0
 """Of two wheels of a diagonal, the one that lifts off so much before the other is the one that hangs."""
 _LEAST_LOG = -6.0
@@ -80,8 +84,8 @@ class ContactDesign:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
-    """The probability of each candidate (2, n), the front and the rear wheel of its diagonal hanging, and the
-    slope of the ground it would take, in roll and pitch (2, 2, n) with its variance."""
+    """What is thought of each candidate: its probability (3, n), the front, the rear or both wheels of the
+    diagonal hanging, and the slope of the ground it takes, in roll and pitch (2, 3, n) with its variance."""
 
     probability: Array
     offset_rad: Array
@@ -97,6 +101,8 @@ class Contact:
     sigma_mm: float = 0.0
     hanging: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     """Probability that a wheel carries nothing, FL FR RL RR."""
+    lifted: float = 0.0
+    """Probability that some wheel of the diagonal FL-RR hangs, less that of FR-RL."""
     lift_off_mm: tuple[float, float] = (0.0, 0.0)
     """Twist of ground and strokes together at which a wheel of the lighter diagonal lifts off, - and +."""
 
@@ -154,8 +160,8 @@ def design_contact(robot: RobotConfig) -> ContactDesign:
 
 def initial_state(design: ContactDesign) -> ContactState:
     """Return the state before the first attitude: the ground is about as flat as expected."""
-    probability = 0.5 * np.stack([design.expected, design.expected])
-    belief = Belief(probability, np.zeros((2, 2, _CANDIDATES)))
+    probability = np.stack([design.expected] * _SIDES) / _SIDES
+    belief = Belief(probability, np.zeros((2, _SIDES, _CANDIDATES)))
     return ContactState(belief, ground_track.initial_state(design.track))
 
 
@@ -187,8 +193,17 @@ def step(
     if ticks > 0:
         belief = _driven(design, belief, track, driven_m)
         belief = _proved(design, belief, twist_mm, lift_off_mm, inputs)
+    moved = abs(pose.warp_mm - state.twist_mm) > _STILL_MM
     belief = _compared(
-        design, belief, twist_mm, lift_off_mm, attitude_rad, turned_rad, driven_m, first=ticks == 0
+        design,
+        belief,
+        twist_mm,
+        lift_off_mm,
+        attitude_rad,
+        turned_rad,
+        driven_m,
+        first=ticks == 0,
+        moved=moved,
     )
     contact = _found(design, belief, twist_mm, lift_off_mm)
     return ContactState(belief, track, contact, pose.warp_mm, posed_rad, travelled_m, 0), contact
@@ -238,13 +253,15 @@ def _compared(
     driven_m: float,
     *,
     first: bool,
+    moved: bool,
 ) -> Belief:
     """Weigh each candidate by how well it foretold roll and pitch, and let it learn the slope."""
     excess = _excess_mm(design.grid_mm + twist_mm, lift_off_mm)
     # A hanging corner goes up: FL +roll -pitch, FR -roll -pitch, RL +roll +pitch, RR -roll +pitch.
     size = np.abs(excess)
     roll, pitch = design.roll_per_mm * excess, design.pitch_per_mm * size
-    foretold = np.array([[-roll, roll], [-pitch, pitch]])  # axis, side, candidate
+    neither = np.zeros_like(roll)
+    foretold = np.array([[-roll, roll, neither], [-pitch, pitch, neither]])  # axis, side, candidate
     seen = np.array(attitude_rad)[:, None, None] - foretold
     if first:
         return Belief(belief.probability, seen, design.noise_rad2)
@@ -255,23 +272,39 @@ def _compared(
     gain = prior / (prior + design.noise_rad2)
     log = (-0.5 / (prior + design.noise_rad2)) * (missed * missed).sum(axis=0)
     log = np.maximum(log - log.max(), _LEAST_LOG)
-    probability = belief.probability * np.exp(log)
-    return Belief(
-        _mixed(probability, lift_off_mm, design.grid_mm + twist_mm),
+    return _mixed(
+        belief.probability * np.exp(log),
         belief.offset_rad + gain * missed,
         (1.0 - gain) * prior,
+        lift_off_mm,
+        design.grid_mm + twist_mm,
+        tips=_TIPS if moved else 0.0,
     )
 
 
-def _mixed(probability: Array, lift_off_mm: Four, twist_mm: Array) -> Array:
-    """Normalise, and let a little of each candidate take its other wheel for the hanging one."""
+def _mixed(
+    probability: Array,
+    offset_rad: Array,
+    variance_rad2: float,
+    lift_off_mm: Four,
+    twist_mm: Array,
+    *,
+    tips: float,
+) -> Belief:
+    """Normalise, and let a little of each candidate tip over; it takes along what it knows of the slope.
+
+    Mixing as in an interacting-multiple-model filter (Blom and Bar-Shalom 1988).
+    """
     fl, fr, rl, rr = lift_off_mm
     front = np.where(twist_mm > 0.0, _first_off(fr, rl), _first_off(fl, rr))
-    total = probability.sum(axis=0)
-    sides = np.stack([front * total, (1.0 - front) * total])
-    mixed: Array = (1.0 - _OTHER_SIDE) * probability + _OTHER_SIDE * sides
-    mixed /= mixed.sum()
-    return mixed
+    share = np.stack(
+        [(1.0 - _TIGHTROPE) * front, (1.0 - _TIGHTROPE) * (1.0 - front), np.full_like(front, _TIGHTROPE)]
+    )
+    tipped = tips * share * probability.sum(axis=0)
+    mixed = (1.0 - tips) * probability + tipped
+    mean_rad = (probability * offset_rad).sum(axis=1, keepdims=True) / probability.sum(axis=0)
+    part = tipped / mixed
+    return Belief(mixed / mixed.sum(), (1.0 - part) * offset_rad + part * mean_rad, variance_rad2)
 
 
 def _first_off(front_mm: float, rear_mm: float) -> float:
@@ -302,7 +335,7 @@ def _driven(design: ContactDesign, belief: Belief, track: TrackState, driven_m: 
     if fade <= 0.0:
         return belief
     twist_mm, sigma_mm = ground_track.twist(design.track, track)
-    ahead = 0.5 * _bell(design.grid_mm, twist_mm, sigma_mm)
+    ahead = (1.0 / _SIDES) * _bell(design.grid_mm, twist_mm, sigma_mm)
     return replace(belief, probability=(1.0 - fade) * belief.probability + fade * ahead)
 
 
@@ -314,13 +347,17 @@ def _found(design: ContactDesign, belief: Belief, twist_mm: float, lift_off_mm: 
     middle_mm = float(np.interp(0.5, np.cumsum(total) - 0.5 * total, design.grid_mm))
     spread = design.grid_mm - middle_mm
     excess = _excess_mm(design.grid_mm + twist_mm, lift_off_mm)
-    front, rear = belief.probability
-    fl, fr = float(front[excess < 0.0].sum()), float(front[excess > 0.0].sum())
-    rr, rl = float(rear[excess < 0.0].sum()), float(rear[excess > 0.0].sum())
+    low, high = (
+        belief.probability[:, excess < 0.0].sum(axis=1),
+        belief.probability[:, excess > 0.0].sum(axis=1),
+    )
+    fl, rr = float(low[0] + low[2]), float(low[1] + low[2])
+    fr, rl = float(high[0] + high[2]), float(high[1] + high[2])
     return Contact(
         ground_warp_mm=middle_mm,
         sigma_mm=math.sqrt(float(total @ (spread * spread))),
         hanging=(fl, fr, rl, rr),
+        lifted=float(low.sum() - high.sum()),
         lift_off_mm=(-min(lift_off_mm[0], lift_off_mm[3]), min(lift_off_mm[1], lift_off_mm[2])),
     )
 

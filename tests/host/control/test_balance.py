@@ -16,8 +16,8 @@ from tiger.estimation.contact import Contact
 CONFIG = load_robot().balance
 MOST_MM = 66.0
 TOUCHING = Contact(sigma_mm=5.0)
-FL_HANGS = Contact(hanging=(0.97, 0.0, 0.0, 0.0))
-FR_HANGS = Contact(hanging=(0.0, 0.95, 0.02, 0.0))
+FL_HANGS = Contact(hanging=(0.97, 0.0, 0.0, 0.0), lifted=0.97)
+FR_HANGS = Contact(hanging=(0.0, 0.95, 0.02, 0.0), lifted=-0.97)
 
 
 def at(warp_mm: float, contact: Contact = TOUCHING, ground_mm: float = 0.0) -> Situation:
@@ -63,7 +63,7 @@ def test_a_wheel_that_touches_ends_the_search() -> None:
 
 
 def test_a_doubtful_wheel_neither_begins_nor_ends_a_search() -> None:
-    doubt = Contact(hanging=(0.5, 0.0, 0.0, 0.0))
+    doubt = Contact(hanging=(0.5, 0.0, 0.0, 0.0), lifted=0.5)
     assert balance.step(CONFIG, been(Phase.SEARCH), at(0.0, doubt)).phase == Phase.SEARCH
     assert balance.step(CONFIG, been(Phase.HOLD), at(0.0, doubt)).phase == Phase.HOLD
 
