@@ -66,7 +66,9 @@ class HeldImu:
             force, gyro, mag = turn.apply(accel), to_chip.apply(gyro), turn.apply(mag)
         else:  # a body at rest feels gravity; what else there is, is the sensor's own
             force = accel + GRAVITY_MPS2 * (self.up - np.array([0.0, 0.0, 1.0]))
-        return ImuReading(force / self.scale + self.offset_mps2, gyro, mag)
+        felt = (force / self.scale + self.offset_mps2, gyro, mag)
+        accel, gyro, mag = (np.asarray(vector).tolist() for vector in felt)
+        return ImuReading(accel, gyro, mag)
 
 
 class EmulatedPerson:
