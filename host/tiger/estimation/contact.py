@@ -45,6 +45,8 @@ _CANDIDATES = 2 * round(_REACH_OF_GRID_MM / _GRID_MM) + 1
 _TIPS = 0.05
 """How readily, at each update in which the strokes twist, the body tips over the diagonal it stands on."""
 _STILL_MM = 0.3
+_CREEP_MPS = 0.03
+"""Wheels that the twisting body rolls to and fro bring no new ground."""
 _TIGHTROPE = 0.2
 """How likely it then stands on two wheels alone."""
 _SURE_MM = 8.0
@@ -187,7 +189,8 @@ def step(
     attitude_rad = estimate.roll_rad - posed_rad[0], estimate.pitch_rad - posed_rad[1]
     turned_rad = max(abs(a - b) for a, b in zip(posed_rad, state.posed_rad, strict=True))
     travelled_m = estimate.odometry.distance_m
-    driven_m = travelled_m - state.travelled_m
+    creeps = abs(estimate.odometry.speed_mps) < _CREEP_MPS
+    driven_m = 0.0 if creeps else travelled_m - state.travelled_m
     lift_off_mm = _lift_off_mm(design, estimate, loads)
     belief = state.belief
     if ticks > 0:
