@@ -37,7 +37,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], str]
             "front left: potentiometer reads beyond its range",
         ),
         ('at_s = 5.0\ntarget = "suspension"\nkind = "cut"\n', "suspension"),
-        ('at_s = 5.0\ntarget = "roboteq_left"\nkind = "silent"\n', "roboteq left"),
+        ('at_s = 5.0\ntarget = "roboteq_left"\nkind = "silent"\n', "! roboteq"),
         ('at_s = 5.0\ntarget = "nano_imu"\nkind = "brown_out"\n', "nano_imu"),
     ],
 )
