@@ -31,7 +31,7 @@ PATCHES_M = (4.0, 10.0, 15.0, 33.0, 38.0, 46.0)
 ONSET_RATIO = 0.10
 CLEARLY_NOT = 0.04
 ROLLING_MPS = 0.45
-"""Slower it is stopping: 10 % of slip are then less than the 4 cm/s that the wheel sensors resolve in time."""
+"""Slower it is stopping: 10 % of slip are then less than the 4 cm/s that wheel sensors resolve in time."""
 
 
 def robot() -> RobotConfig:
