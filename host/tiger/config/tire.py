@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from importlib import resources
+from math import atan, sin
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -73,6 +74,16 @@ class TireSetConfig(_Section):
     longitudinal: LongitudinalCoefficients
     lateral: LateralCoefficients
     standstill: StandstillConfig
+
+    @property
+    def stiffness_per_load(self) -> tuple[float, float]:
+        """Slip stiffnesses C_kappa (1) and C_alpha (1/rad) over the load, at the nominal load.
+
+        Pacejka 2006, eqs. 4.E15 and 4.E25 with df_z = 0 and without camber; similarity makes them those of
+        every vehicle's tyre at its own nominal load.
+        """
+        across = abs(self.lateral.pky1) * sin(2.0 * atan(1.0 / self.lateral.pky2))
+        return self.longitudinal.pkx1, across
 
 
 class SoilConfig(_Section):

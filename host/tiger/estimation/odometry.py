@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tiger.config.tire import load_tire_set
 from tiger.control.drive import DriveDesign, design_drive, half_track_m
 from tiger.estimation import inertial, slip
 from tiger.estimation.inertial import (
@@ -93,12 +94,8 @@ class OdometryState:
 
 def design_odometry(robot: RobotConfig) -> OdometryDesign:
     """Prepare the filter; tyre stiffness is that of the vehicle's tyre under its static load."""
-    from tiger.config.tire import load_tire_set
-    from tiger.models.tire import Tire
-
     vehicle, config = robot.vehicle, robot.odometry
-    load_n = vehicle.tire.nominal_load_n
-    ahead, across = Tire.from_config(load_tire_set(), vehicle.tire).stiffness(load_n)
+    ahead, across = load_tire_set().stiffness_per_load
     return OdometryDesign(
         config=config,
         noise=inertial.make_noise(config),
@@ -106,8 +103,8 @@ def design_odometry(robot: RobotConfig) -> OdometryDesign:
         wheel_radius_m=vehicle.tire.rolling_radius_m * robot.drive.wheel_radius_factor,
         com_height_m=vehicle.body.com_height_m,
         imu_height_m=vehicle.imu_offset_m[2],
-        drive_slip_s2pm=load_n / (ahead * GRAVITY_MPS2),
-        side_slip_s2pm=load_n / (across * GRAVITY_MPS2),
+        drive_slip_s2pm=1.0 / (ahead * GRAVITY_MPS2),
+        side_slip_s2pm=1.0 / (across * GRAVITY_MPS2),
     )
 
 

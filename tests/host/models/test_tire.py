@@ -35,6 +35,12 @@ def test_slip_stiffnesses_are_those_of_the_published_set() -> None:
     assert c_alpha == pytest.approx(41.7e3, rel=1e-3)
 
 
+def test_stiffness_over_the_nominal_load_is_known_without_the_model() -> None:
+    over_load = load_tire_set().stiffness_per_load
+    load_n = tire().parameters[0]["nominal_load"]
+    assert [c / load_n for c in tire().stiffness(load_n)] == pytest.approx(over_load, rel=1e-12)
+
+
 def test_stiffness_is_the_slope_of_the_force_at_zero_slip() -> None:
     c_kappa, c_alpha = tire().stiffness(STATIC_LOAD_N)
     assert tire().forces(STATIC_LOAD_N, 1e-6, 0.0)[0] == pytest.approx(c_kappa * 1e-6, rel=1e-6)
