@@ -45,6 +45,10 @@ _CANDIDATES = 2 * round(_REACH_OF_GRID_MM / _GRID_MM) + 1
 _TIPS = 0.05
 """How readily, at each update in which the strokes twist, the body tips over the diagonal it stands on."""
 _STILL_MM = 0.3
+_KEPT = 0.2
+"""Of what was expected at first: no candidate is ever ruled out by noise."""
+_QUARTILES_OF_SIGMA = 1.349
+"""Distance of the quartiles of a normal distribution, in standard deviations."""
 _CREEP_MPS = 0.03
 """Wheels that the twisting body rolls to and fro bring no new ground."""
 _TIGHTROPE = 0.2
@@ -197,9 +201,10 @@ def step(
         belief = _driven(design, belief, track, driven_m)
         belief = _proved(design, belief, twist_mm, lift_off_mm, inputs)
     moved = abs(pose.warp_mm - state.twist_mm) > _STILL_MM
+    kept = np.maximum(belief.probability, _KEPT / _SIDES * design.expected)
     belief = _compared(
         design,
-        belief,
+        replace(belief, probability=kept / kept.sum()),
         twist_mm,
         lift_off_mm,
         attitude_rad,
@@ -347,8 +352,8 @@ def _driven(design: ContactDesign, belief: Belief, track: TrackState, driven_m: 
 
 def _found(design: ContactDesign, belief: Belief, twist_mm: float, lift_off_mm: Four) -> Contact:
     total = belief.probability.sum(axis=0)
-    middle_mm = float(np.interp(0.5, np.cumsum(total) - 0.5 * total, design.grid_mm))
-    spread = design.grid_mm - middle_mm
+    quantiles = np.interp([0.25, 0.5, 0.75], np.cumsum(total) - 0.5 * total, design.grid_mm)
+    low_mm, middle_mm, high_mm = quantiles.tolist()
     excess = _excess_mm(design.grid_mm + twist_mm, lift_off_mm)
     low, high = (
         belief.probability[:, excess < 0.0].sum(axis=1),
@@ -358,7 +363,7 @@ def _found(design: ContactDesign, belief: Belief, twist_mm: float, lift_off_mm: 
     fr, rl = float(high[0] + high[2]), float(high[1] + high[2])
     return Contact(
         ground_warp_mm=middle_mm,
-        sigma_mm=math.sqrt(float(total @ (spread * spread))),
+        sigma_mm=(high_mm - low_mm) / _QUARTILES_OF_SIGMA,
         hanging=(fl, fr, rl, rr),
         lifted=float(low.sum() - high.sum()),
         lift_off_mm=(-min(lift_off_mm[0], lift_off_mm[3]), min(lift_off_mm[1], lift_off_mm[2])),
