@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 NAME = re.compile(r"tiger-\d{8}-\d{6}\w*-\d{3,}\.mcap")
 CHUNK_BYTES = 1_000_000
+CHUNKS_PER_PART = 20  # at least: a part grows by whole chunks, and shall not outgrow its size by one
 PROFILE = "ros2"
 
 
@@ -76,7 +77,8 @@ class LogFiles:
         self._number += 1
         self._path = self._folder / part_name(self._start.name, self._number)
         self._file: BufferedWriter = self._path.open("xb")
-        self._writer: Writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        chunk_bytes = min(CHUNK_BYTES, self._start.part_bytes // CHUNKS_PER_PART)
+        self._writer: Writer = Writer(self._file, chunk_size=chunk_bytes, compression=CompressionType.ZSTD)
         self._writer.start(PROFILE, library="tiger")
         self._channels.clear()
         self._schemas: dict[type, int] = {}
