@@ -83,7 +83,9 @@ def page() -> str:
     near = f"warning time {robot.stability.warning_time_s:g} s, margin {robot.stability.warning_margin:g}"
     limits.append(("body", "may tip over to the …, … % of the margin left", near, "is shown", TIPPING_STEP))
     blow = f"blow of {robot.stability.trip_blow_mps:g} m/s"
-    limits.append(("body", "ran into something", blow, "is shown; limiter stops it for a moment", TRIPPED_STEP))
+    limits.append(
+        ("body", "ran into something", blow, "is shown; limiter stops it for a moment", TRIPPED_STEP)
+    )
     drive_faults = [(f"{decode_flags(flag, FaultFlag)[0]} (?FF)", text) for flag, text in REMEDY.items()]
     drive_faults += [(f"motor {name} (?FM)", MOTOR_REMEDY) for name in decode_flags(MOTOR_FAULTS, MotorFlag)]
     drive_faults.append((f"{CHANGED}, twice within a second", CHANGED_REMEDY))
