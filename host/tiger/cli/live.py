@@ -42,6 +42,7 @@ STATE_STYLE = {
 KEYS = "a arm   d disarm   c clear faults   space emergency stop   q quit"
 CORNERS = ("FL", "FR", "RL", "RR")
 J_PER_WH = 3600.0
+ROUGHNESS = "ABCDEFGH"  # ISO 8608
 
 
 def picture(record: Record, overview: Overview, log_lines: list[str], title: str, keys: bool) -> Group:
@@ -80,7 +81,10 @@ def _body(record: Record) -> Table:
     ground = [math.degrees(estimate.plate_roll_rad), math.degrees(estimate.plate_pitch_rad)]
     slope = [f"{value:+.2f}°" if known else "-" for value in ground]
     moving = f"{math.degrees(where.yaw_rad):+.1f}° {where.speed_mps:+.2f} m/s"
-    table.add_row("ground", *slope, "", "", moving)
+    stands = f"margin {estimate.stability.margin:.2f}" if known else ""
+    number = estimate.roughness.class_number
+    rough = f"class {ROUGHNESS[number]}" if number >= 0 else ""
+    table.add_row("ground", *slope, stands, rough, moving)
     return table
 
 

@@ -30,7 +30,7 @@ def drawn(content: Any) -> str:
 def test_once_prints_one_page(running: Any) -> None:
     result = CliRunner().invoke(APP, ["--once"])
     assert result.exit_code == 0
-    for text in ("helm: free", "DISARMED", "stroke mm", "mega_suspension", "roboteq"):
+    for text in ("helm: free", "DISARMED", "stroke mm", "margin", "mega_suspension", "roboteq"):
         assert text in result.output
 
 
