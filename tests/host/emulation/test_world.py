@@ -318,7 +318,8 @@ def test_readings_are_whole_digits_of_the_chip() -> None:
         (reading.gyro_radps, radians(1 / 16)),
         (reading.mag_ut, 1 / 16),
     ):
-        assert values / digit == pytest.approx(np.rint(values / digit), abs=1e-6)
+        digits = np.array(values) / digit
+        assert digits == pytest.approx(np.rint(digits), abs=1e-6)
 
 
 def test_potentiometers_show_the_strokes() -> None:
