@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 PROBE_RPM = 15.0
 MOVING_RPM = 5.0  # a wheel that turns faster was moved
 AGREED_S = 0.05  # for so long before it counts
+WRONG_S = (
+    0.2  # a motion that must not be lasts so long before it counts: a body that rocks moves wheels as well
+)
 STILL_S = 0.1  # between the two sides
 PATIENCE_S = 1.5
 
@@ -45,6 +48,7 @@ class WheelCheck:
     phase: Phase = Phase.IDLE
     elapsed_s: float = 0.0  # in this phase
     agreed_s: float = 0.0  # the phase's goal has held for so long
+    wrong_s: float = 0.0  # what must not be has been for so long
     problem: Problem | None = None
 
     @property
@@ -73,7 +77,8 @@ def step(check: WheelCheck, motion_wanted: bool, inputs: Inputs, dt: float) -> W
         return check
     elapsed_s = check.elapsed_s + dt
     problem = _wrong(check.phase, speeds)
-    if problem is not None and elapsed_s > AGREED_S:
+    wrong_s = check.wrong_s + dt if problem is not None else 0.0
+    if wrong_s > WRONG_S:
         return WheelCheck(Phase.FAILED, problem=problem)
     needed_s = STILL_S if check.phase is Phase.PAUSE else AGREED_S
     agreed_s = check.agreed_s + dt if _reached(check.phase, speeds) else 0.0
@@ -81,7 +86,7 @@ def step(check: WheelCheck, motion_wanted: bool, inputs: Inputs, dt: float) -> W
         return WheelCheck(_NEXT[check.phase])
     if elapsed_s > PATIENCE_S:
         return WheelCheck(Phase.FAILED, problem=_nothing_turns(check.phase, speeds))
-    return WheelCheck(check.phase, elapsed_s, agreed_s)
+    return WheelCheck(check.phase, elapsed_s, agreed_s, wrong_s)
 
 
 _Speeds = tuple[tuple[float, float], tuple[float, float]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tiger.daemon.limits import RPM_PER_RADPS
-from tiger.daemon.wheel_check import PATIENCE_S, PROBE_RPM, Phase, WheelCheck, step
+from tiger.daemon.wheel_check import PATIENCE_S, PROBE_RPM, WRONG_S, Phase, WheelCheck, step
 from tiger.record import Four, Inputs, WheelSample
 
 DT_S = 0.005
@@ -26,6 +26,20 @@ def drive(crossing: tuple[tuple[int, float], ...], seconds: float = 5.0) -> Whee
         right = WheelSample(0.0, (0, 0), (rpm[1] / RPM_PER_RADPS, rpm[3] / RPM_PER_RADPS), 0)
         check = step(check, True, Inputs(0.0, True, wheels_left=left, wheels_right=right), DT_S)
     return check
+
+
+def test_a_body_that_rocks_is_no_wrong_wiring() -> None:
+    """The far wheels roll for a moment before the driven ones have begun to turn."""
+    check = step(WheelCheck(), True, Inputs(0.0, True), DT_S)
+    rocking = WheelSample(0.0, (0, 0), (-8.0 / RPM_PER_RADPS, -8.0 / RPM_PER_RADPS), 0)
+    still = WheelSample(0.0, (0, 0), (0.0, 0.0), 0)
+    for _ in range(round(0.8 * WRONG_S / DT_S)):
+        check = step(check, True, Inputs(0.0, True, wheels_left=still, wheels_right=rocking), DT_S)
+    assert check.phase is Phase.LEFT
+    turning = WheelSample(0.0, (0, 0), (PROBE_RPM / RPM_PER_RADPS, PROBE_RPM / RPM_PER_RADPS), 0)
+    for _ in range(round(0.1 / DT_S)):
+        check = step(check, True, Inputs(0.0, True, wheels_left=turning, wheels_right=still), DT_S)
+    assert check.phase in (Phase.PAUSE, Phase.RIGHT)
 
 
 STRAIGHT = ((0, 1.0), (1, 1.0), (2, 1.0), (3, 1.0))
