@@ -23,6 +23,7 @@ import re
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum, IntFlag
+from functools import lru_cache
 
 from tiger.record import DriveSample, Problem, ProblemKind
 
@@ -214,6 +215,7 @@ class _Exchange:
         return right
 
 
+@lru_cache(maxsize=1024)  # every query is asked three times, and most answers are those of before
 def _values(name: str, line: bytes) -> tuple[int, ...] | None:
     """The numbers of the answer to a query; None unless the line is exactly such an answer."""
     match = _ANSWER.fullmatch(line)

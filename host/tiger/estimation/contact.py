@@ -19,7 +19,7 @@ Twists are amplitudes in mm at each corner, a quarter of FL - FR - RL + RR.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,6 +29,7 @@ from tiger.control.reachable import Suspension
 from tiger.estimation import ground_track
 from tiger.estimation.ground_track import TrackDesign, TrackState
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
+from tiger.replace import replace
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

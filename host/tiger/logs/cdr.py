@@ -240,6 +240,29 @@ class _SingleFixed:
         return (number if self._cls is None else self._cls(number)), at + layout.size
 
 
+class _Remembered:
+    """An inner message with the bytes it was last made into: a sample stays the same for several ticks."""
+
+    def __init__(self, codec: Message[Any]) -> None:
+        self._codec = codec
+        self.typename, self.needs = codec.typename, codec.needs
+        self._value: Any = None
+        self._start = -1
+        self._bytes = b""
+
+    def encode(self, value: Any, out: bytearray) -> None:
+        start = len(out) & 7
+        if value is not self._value or start != self._start:
+            before = len(out)
+            self._codec.encode(value, out)
+            self._value, self._start, self._bytes = value, start, bytes(out[before:])
+            return
+        out += self._bytes
+
+    def decode(self, data: bytes, at: int) -> tuple[Any, int]:
+        return self._codec.decode(data, at)
+
+
 class Message(Generic[T]):
     """A dataclass as a ROS 2 message; get it with `message(cls)`."""
 
@@ -251,6 +274,7 @@ class Message(Generic[T]):
         package, _, short = self.name.split("/")
         self.typename = f"{package}/{short}"
         self.needs: tuple[type, ...] = (cls,)
+        self.is_frozen: bool = cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
         hints = get_type_hints(cls, include_extras=True)
         self._fields = {field.name: _codec(hints[field.name]) for field in dataclasses.fields(cls)}
         self._steps = self._plan()
@@ -372,7 +396,8 @@ def _codec(hint: Any) -> _Codec | _Fixed:
     if _is_a(hint, IntEnum):
         return _Fixed("uint8", "B", cls=hint)
     if dataclasses.is_dataclass(hint):
-        return message(hint)  # type: ignore[arg-type]
+        inner: Message[Any] = message(hint)  # type: ignore[arg-type]
+        return _Remembered(inner) if inner.is_frozen else inner
     raise CdrError(f"{hint} has no place in a message")
 
 
