@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 PROBE_RPM = 15.0
 MOVING_RPM = 5.0  # a wheel that turns faster was moved
 AGREED_S = 0.05  # for so long before it counts
-WRONG_S = (
-    0.2  # a motion that must not be lasts so long before it counts: a body that rocks moves wheels as well
-)
+WRONG_S = 0.2  # what must not be counts after this: a body that rocks moves wheels too
 STILL_S = 0.1  # between the two sides
 PATIENCE_S = 1.5
 
