@@ -8,8 +8,10 @@ FL, FR, RL, RR.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import IntEnum, StrEnum
+
+from tiger.frozen import dataclass
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]

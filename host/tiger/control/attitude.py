@@ -18,7 +18,7 @@ A move begins when the error leaves the dead zone and ends near zero error, not 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +26,7 @@ from scipy.linalg import expm
 
 from tiger.control.lqr import dlqr
 from tiger.control.reachable import WARP, Pose, Suspension
+from tiger.frozen import dataclass
 from tiger.record import STILL
 
 if TYPE_CHECKING:

@@ -13,11 +13,10 @@ a table of four phases what to do with it:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
-from tiger.replace import replace
+from tiger.frozen import dataclass, replace
 
 if TYPE_CHECKING:
     from collections.abc import Callable

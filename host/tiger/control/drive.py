@@ -10,11 +10,11 @@ integral on those of mega_speed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tiger.frozen import dataclass
 from tiger.models.eam import Eam
 from tiger.record import STILL
 

@@ -19,11 +19,11 @@ Nothing here jumps unless the command does, and the drive's ramps follow behind.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import copysign, cos, hypot, inf, sin, sqrt
 from typing import TYPE_CHECKING
 
 from tiger.control.tip_over import FRONT, LEFT, REAR, RIGHT
+from tiger.frozen import dataclass
 from tiger.models.full_car import GRAVITY_MPS2
 from tiger.record import LimitCause
 

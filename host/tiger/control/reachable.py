@@ -9,9 +9,9 @@ stroke.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from tiger.frozen import dataclass
 from tiger.models.eam import Eam, LiftCurve
 from tiger.models.full_car import FullCarParameters
 

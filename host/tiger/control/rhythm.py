@@ -12,9 +12,8 @@ It starts from two turning points, and is trusted after some periods that it pre
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
-from tiger.replace import replace
+from tiger.frozen import dataclass, replace
 
 _GAIN = 0.8
 _OFFSET_GAIN = 0.2

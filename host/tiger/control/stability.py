@@ -8,7 +8,7 @@ the present strokes. `stability.limiter` = "log" does all of it but leaves the c
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import atan2, exp, inf, sqrt
 from typing import TYPE_CHECKING
 
@@ -17,10 +17,10 @@ from tiger.control.drive import design_drive, half_track_m
 from tiger.control.motion_limits import Allowed, LimiterDesign, LimiterState
 from tiger.control.tip_over import Stance
 from tiger.control.trip import TripState
+from tiger.frozen import dataclass, replace
 from tiger.models.eam import Eam
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
 from tiger.record import LimitCause, Stability
-from tiger.replace import replace
 
 if TYPE_CHECKING:
     from tiger.config.robot import RobotConfig, StabilityConfig

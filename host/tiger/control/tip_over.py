@@ -17,11 +17,11 @@ are left, right, front, rear. Forces are per unit mass (m/s2), energies per unit
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import atan2, copysign, cos, hypot, inf, sin, sqrt, tan
 from math import log as ln
 from typing import TYPE_CHECKING
 
+from tiger.frozen import dataclass
 from tiger.models.full_car import GRAVITY_MPS2
 
 if TYPE_CHECKING:

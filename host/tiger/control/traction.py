@@ -27,12 +27,13 @@ again. The friction is the config's, raised to what wheels that hold have shown 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tiger.control.drive import design_drive
+from tiger.frozen import dataclass
 from tiger.models.full_car import GRAVITY_MPS2
 from tiger.models.sensors.motor_current import MotorCurrent
 from tiger.record import STILL, Traction

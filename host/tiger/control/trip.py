@@ -8,9 +8,10 @@ integral tells them apart.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import hypot
 from typing import TYPE_CHECKING
+
+from tiger.frozen import dataclass
 
 if TYPE_CHECKING:
     from tiger.config.robot import StabilityConfig

@@ -11,7 +11,7 @@ and traction are modules; this file connects them and holds the table of modes.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,8 +28,8 @@ from tiger.daemon import situation
 from tiger.daemon.situation import SituationDesign, SituationState
 from tiger.estimation import attitude_observer as observer
 from tiger.estimation.attitude_observer import ObserverDesign, ObserverState
+from tiger.frozen import dataclass, replace
 from tiger.record import Command, Estimate, Inputs, Mode, Outputs
-from tiger.replace import replace
 
 if TYPE_CHECKING:
     from collections.abc import Callable

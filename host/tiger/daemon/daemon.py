@@ -25,6 +25,7 @@ from tiger.devices.imu import imu_raw_sample, imu_sample
 from tiger.devices.roboteq import FaultFlag
 from tiger.devices.suspension import ENGAGED_STATES, setpoint, stroke_sample
 from tiger.devices.wheel_speed import wheel_sample
+from tiger.frozen import replace
 from tiger.protocol.link import Identified, Lost, Outcome, Rebooted, Request, Telemetry
 from tiger.protocol.messages import (
     ACK_TEXT,
@@ -59,7 +60,6 @@ from tiger.record import (
     StrokeSample,
     WheelSample,
 )
-from tiger.replace import replace
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

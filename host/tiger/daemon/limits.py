@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from tiger.devices.roboteq import MOTOR_FAULTS, MOTOR_REMEDY, REMEDY, FaultFlag, MotorFlag, decode_flags
+from tiger.frozen import dataclass
 from tiger.protocol.messages import FAULT_INFO, BoardKind, Fault, ImuFlag
 from tiger.record import Problem, ProblemKind
 

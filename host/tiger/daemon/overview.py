@@ -7,10 +7,10 @@ Torque, power and energy of each wheel come from the currents and voltages that 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from tiger.control.traction import electric_w, measured
+from tiger.frozen import dataclass
 from tiger.record import STILL, Four
 
 if TYPE_CHECKING:

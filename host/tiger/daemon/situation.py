@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING
 
 from tiger.estimation import contact, odometry, roughness, wheel_loads
@@ -10,8 +10,8 @@ from tiger.estimation.contact import Contact, ContactDesign, ContactState
 from tiger.estimation.odometry import OdometryDesign, OdometryState
 from tiger.estimation.roughness import RoughnessDesign, RoughnessState
 from tiger.estimation.wheel_loads import LoadsDesign, LoadsState
+from tiger.frozen import dataclass, replace
 from tiger.record import Loads
-from tiger.replace import replace
 
 if TYPE_CHECKING:
     from tiger.config.robot import RobotConfig

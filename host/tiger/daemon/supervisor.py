@@ -9,8 +9,8 @@ DISCONNECTED up.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
+from tiger.frozen import dataclass
 from tiger.record import DaemonState
 
 

@@ -7,11 +7,11 @@ it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
 from tiger.daemon.limits import RPM_PER_RADPS
+from tiger.frozen import dataclass
 from tiger.record import STILL, Problem, ProblemKind
 
 if TYPE_CHECKING:

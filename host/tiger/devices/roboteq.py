@@ -21,10 +21,10 @@ from __future__ import annotations
 import math
 import re
 from collections import deque
-from dataclasses import dataclass
 from enum import Enum, IntFlag
 from functools import lru_cache
 
+from tiger.frozen import dataclass
 from tiger.record import DriveSample, Problem, ProblemKind
 
 BAUD = 115_200

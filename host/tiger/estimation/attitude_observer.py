@@ -14,12 +14,12 @@ for a linear model.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tiger.estimation.kalman import steady_state_gain
+from tiger.frozen import dataclass
 from tiger.models.full_car import FORCE, ROAD, STATES, FullCarParameters, full_car
 from tiger.models.linear import LinearModel
 from tiger.record import Estimate

@@ -19,7 +19,7 @@ Twists are amplitudes in mm at each corner, a quarter of FL - FR - RL + RR.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,8 +28,8 @@ from tiger.control import traction
 from tiger.control.reachable import Suspension
 from tiger.estimation import ground_track
 from tiger.estimation.ground_track import TrackDesign, TrackState
+from tiger.frozen import dataclass, replace
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
-from tiger.replace import replace
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

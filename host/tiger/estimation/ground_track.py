@@ -15,12 +15,12 @@ wheels beside the track, and what is known fades. Backwards the axles change par
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tiger.estimation.kalman import steady_state_gain
+from tiger.frozen import dataclass
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -8,7 +8,6 @@ with it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +16,7 @@ from scipy.optimize import minimize
 from tiger.control import ride
 from tiger.control.ride import RoadPrior
 from tiger.estimation.kalman import steady_state_gain
+from tiger.frozen import dataclass
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

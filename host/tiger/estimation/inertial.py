@@ -16,12 +16,12 @@ needs no matrix inverse (Bierman, Factorization Methods, 1977, section 2.5).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from math import cos, radians, sin
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from tiger.frozen import dataclass, replace
 from tiger.models.full_car import GRAVITY_MPS2
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ distance is counted along the ground; x and y are of its projection.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import asin, cos, hypot, pi, sin, sqrt
 from typing import TYPE_CHECKING
 
@@ -35,9 +35,9 @@ from tiger.estimation.inertial import (
     V,
 )
 from tiger.estimation.slip import SlipState
+from tiger.frozen import dataclass, replace
 from tiger.models.full_car import GRAVITY_MPS2
 from tiger.record import STILL, Odometry
-from tiger.replace import replace
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -29,12 +29,12 @@ load is open again. A measurement beyond three standard deviations, a kerb, coun
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from tiger.control.reachable import Suspension
+from tiger.frozen import dataclass
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
 
 if TYPE_CHECKING:

@@ -19,15 +19,15 @@ is divided by that.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tiger.frozen import dataclass
 from tiger.models.full_car import ROAD, TIRE, FullCarParameters, full_car
 from tiger.models.road import ISO_ROUGHNESS_M3, REFERENCE_CYCLES_PER_M
 from tiger.record import Roughness
-from tiger.replace import replace
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,10 +10,10 @@ slip ratio = (surface speed - speed over ground)/|speed over ground| of each whe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import hypot
 from typing import TYPE_CHECKING
 
+from tiger.frozen import dataclass
 from tiger.record import STILL
 
 if TYPE_CHECKING:

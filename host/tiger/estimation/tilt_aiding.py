@@ -15,9 +15,9 @@ The poles of the pitch are at `bandwidth_radps`, damping 0.7. Slipping wheels co
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from tiger.frozen import dataclass
 from tiger.models.full_car import GRAVITY_MPS2
 
 if TYPE_CHECKING:

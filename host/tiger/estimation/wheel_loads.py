@@ -22,7 +22,6 @@ motion, smoothed over `_SMOOTH_S`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,6 +31,7 @@ from tiger.control.reachable import WARP
 from tiger.estimation import payload, tilt_aiding
 from tiger.estimation.payload import Measured, PayloadDesign, PayloadState
 from tiger.estimation.tilt_aiding import AidedTilt
+from tiger.frozen import dataclass
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
 from tiger.record import STILL, Loads
 

@@ -274,7 +274,8 @@ class Message(Generic[T]):
         package, _, short = self.name.split("/")
         self.typename = f"{package}/{short}"
         self.needs: tuple[type, ...] = (cls,)
-        self.is_frozen: bool = cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
+        params = cls.__dataclass_params__  # type: ignore[attr-defined]
+        self.is_frozen: bool = params.frozen or params.unsafe_hash
         hints = get_type_hints(cls, include_extras=True)
         self._fields = {field.name: _codec(hints[field.name]) for field in dataclasses.fields(cls)}
         self._steps = self._plan()

@@ -10,7 +10,8 @@ time.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+
+from tiger.frozen import dataclass
 
 WRAP_US = 1 << 32  # board clocks are u32 microseconds
 

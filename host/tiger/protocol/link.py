@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import Enum
 
+from tiger.frozen import dataclass
 from tiger.protocol.clock_sync import ClockSync
 from tiger.protocol.frame import OVERHEAD_BYTES, FrameDecoder, encode_message
 from tiger.protocol.messages import (

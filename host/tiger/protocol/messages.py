@@ -11,9 +11,10 @@ the scaled little-endian counts on the wire and refuse, with a `RangeError`, wha
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar, Protocol, Self
+
+from tiger.frozen import dataclass
 
 PROTO = 1
 MAX_PAYLOAD_BYTES = 48

@@ -1,14 +1,15 @@
-"""The quick `replace`: as the one of dataclasses."""
+"""Frozen dataclasses of the tick: as those of the standard library, but for the guard and its price."""
 
 from __future__ import annotations
 
 import dataclasses
+import pickle
 from dataclasses import dataclass
 
 import pytest
 
-from tiger.record import Command, Estimate, Inputs, Loads, Outputs
-from tiger.replace import replace
+from tiger.frozen import replace
+from tiger.record import Command, Estimate, Inputs, Loads, Odometry, Outputs
 
 
 @pytest.mark.parametrize(
@@ -29,9 +30,28 @@ def test_a_changed_copy_is_that_of_dataclasses(record: object, changes: dict[str
     assert repr(record) == before
 
 
-def test_a_copy_stays_frozen() -> None:
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        replace(Command(), speed_mps=1.0).speed_mps = 2.0  # type: ignore[misc]
+def test_equal_fields_make_equal_records_with_equal_hashes() -> None:
+    assert Command(speed_mps=1.0) == replace(Command(), speed_mps=1.0) != Command()
+    assert len({Command(speed_mps=1.0), replace(Command(), speed_mps=1.0), Command()}) == 2
+
+
+def test_a_field_that_does_not_exist_cannot_be_set() -> None:
+    with pytest.raises(AttributeError):
+        Command().sped_mps = 1.0  # type: ignore[attr-defined]
+
+
+def test_a_record_survives_pickling() -> None:
+    record = Estimate(ready=True, odometry=Odometry(x_m=1.0))
+    assert pickle.loads(pickle.dumps(record)) == record
+
+
+def test_a_guarded_class_is_refused_by_the_quick_copy() -> None:
+    @dataclass(frozen=True, slots=True)
+    class Guarded:
+        value: int
+
+    with pytest.raises(TypeError, match=r"Guarded guards its fields: .* tiger.frozen"):
+        replace(Guarded(1), value=2)
 
 
 def test_a_field_that_is_not_there_is_named() -> None:
