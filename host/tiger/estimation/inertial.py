@@ -10,21 +10,24 @@ the speed of the IMU's place ahead (u) and to the left (v) in body axes (docs/od
 w follows from the ground the wheels stand on. The error of each, of the three gyro biases, two accelerometer
 offsets, the wheels' scale, Earth's field in the plane and the hard iron on board make 17 error states. Their
 covariance is carried forward every 20 ms by the linearised equations (Sola, Quaternion kinematics for the
-error-state Kalman filter, 2017, sections 5.3 and 6.1), and measurements come one scalar at a time, which
-needs no matrix inverse (Bierman, Factorization Methods, 1977, section 2.5).
+error-state Kalman filter, 2017, sections 5.3 and 6.1), and all that is measured then is taken in at once.
 """
 
 from __future__ import annotations
 
+from dataclasses import field
 from math import cos, radians, sin
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
-from tiger.frozen import dataclass, replace
+from tiger.frozen import dataclass
 from tiger.models.full_car import GRAVITY_MPS2
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from tiger.config.robot import OdometryConfig
@@ -39,12 +42,34 @@ ERRORS = (
 X, Y, YAW, U, V, PITCH, ROLL, GX, GY, GZ, AX, AY, SCALE, FX, FY, HX, HY = range(len(ERRORS))
 N = len(ERRORS)
 
-_DIAGONAL = np.arange(N)
+_IDENTITY = np.eye(N)
+_COUPLED = np.ravel_multi_index(
+    np.transpose(
+        [
+            *((X, YAW), (X, U), (X, V), (Y, YAW), (Y, U), (Y, V)),
+            *((YAW, GZ), (PITCH, GY), (ROLL, GX), (U, AX), (V, AY)),
+            *((U, PITCH), (U, V), (U, GZ), (V, ROLL), (V, U), (V, GZ), (PITCH, ROLL), (ROLL, PITCH)),
+        ]
+    ),
+    (N, N),
+)
+"""Where one error changes another, in the order in which `spread` fills them in."""
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """What only measurements change, and slowly: rad/s, m/s2, uT."""
+
+    gyro_bias_radps: Three = (0.0, 0.0, 0.0)
+    accel_bias_mps2: tuple[float, float] = (0.0, 0.0)
+    scale: float = 0.0  # how much more than the wheels say is travelled
+    field_ut: tuple[float, float] = (0.0, 0.0)
+    iron_ut: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """The nominal state: m, rad, m/s, rad/s, m/s2, uT."""
+    """The nominal state: m, rad, m/s, rad/s, m/s2."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -53,17 +78,13 @@ class Motion:
     v_mps: float = 0.0
     pitch_rad: float = 0.0
     roll_rad: float = 0.0
-    gyro_bias_radps: Three = (0.0, 0.0, 0.0)
-    accel_bias_mps2: tuple[float, float] = (0.0, 0.0)
-    scale: float = 0.0  # how much more than the wheels say is travelled
-    field_ut: tuple[float, float] = (0.0, 0.0)
-    iron_ut: tuple[float, float] = (0.0, 0.0)
     rate_radps: Three = (0.0, 0.0, 0.0)  # of the last sample, without bias
     accel_mps2: tuple[float, float] = (0.0, 0.0)  # du/dt and dv/dt of the last sample
+    learned: Learned = field(default_factory=Learned)
 
 
 class Noise(NamedTuple):
-    """Variances: what one second adds to each error (N,), and what they are at the start (N,)."""
+    """Covariances (N, N): what one second adds, and that of the start."""
 
     per_second: Array
     at_start: Array
@@ -85,12 +106,7 @@ def make_noise(config: OdometryConfig) -> Noise:
     start[SCALE] = config.wheel_scale_sigma
     start[[FX, FY]] = config.start_field_ut
     start[[HX, HY]] = config.start_iron_ut
-    return Noise(walk**2, start**2)
-
-
-def start_covariance(noise: Noise) -> Array:
-    """Covariance (N, N) before the first measurement."""
-    return np.diag(noise.at_start)
+    return Noise(np.diag(walk**2), np.diag(start**2))
 
 
 def integrate(
@@ -100,7 +116,8 @@ def integrate(
 
     force_mps2 and gyro_radps as read, body axes; `ground_pitch_rad` of the plane under the wheels.
     """
-    (bp, bq, br), (ax, ay) = motion.gyro_bias_radps, motion.accel_bias_mps2
+    learned = motion.learned
+    (bp, bq, br), (ax, ay) = learned.gyro_bias_radps, learned.accel_bias_mps2
     p, q, r = gyro_radps[0] - bp, gyro_radps[1] - bq, gyro_radps[2] - br
     roll, pitch, yaw = motion.roll_rad, motion.pitch_rad, motion.yaw_rad
     u, v = motion.u_mps, motion.v_mps
@@ -123,80 +140,91 @@ def integrate(
         v + dv * dt,
         pitch + (q * cos_roll - r * sin_roll) * dt,
         roll + (p + sin_pitch / cos_pitch * turning) * dt,
-        motion.gyro_bias_radps,
-        motion.accel_bias_mps2,
-        motion.scale,
-        motion.field_ut,
-        motion.iron_ut,
         (p, q, r),
         (du, dv),
+        learned,
     )
 
 
 def spread(covariance: Array, motion: Motion, noise: Noise, dt: float) -> Array:
     """Carry the covariance (N, N) forward by `dt` with the equations linearised about `motion`."""
     u, v, r = motion.u_mps * dt, motion.v_mps * dt, motion.rate_radps[2] * dt
-    cos_yaw, sin_yaw = cos(motion.yaw_rad), sin(motion.yaw_rad)
-    g = GRAVITY_MPS2 * dt
-    step = np.eye(N)
-    step[X, YAW], step[X, U], step[X, V] = -sin_yaw * u - cos_yaw * v, cos_yaw * dt, -sin_yaw * dt
-    step[Y, YAW], step[Y, U], step[Y, V] = cos_yaw * u - sin_yaw * v, sin_yaw * dt, cos_yaw * dt
-    step[YAW, GZ] = step[PITCH, GY] = step[ROLL, GX] = step[U, AX] = step[V, AY] = -dt
-    step[U, PITCH], step[U, V], step[U, GZ] = g, r, -v
-    step[V, ROLL], step[V, U], step[V, GZ] = -g, -r, u
-    step[PITCH, ROLL], step[ROLL, PITCH] = -r, r
-    spread = step @ covariance @ step.T
-    spread[_DIAGONAL, _DIAGONAL] += noise.per_second * dt
-    return spread
+    c, s, g = cos(motion.yaw_rad), sin(motion.yaw_rad), GRAVITY_MPS2 * dt
+    step = _IDENTITY.copy()
+    step.put(
+        _COUPLED,
+        (
+            *(-s * u - c * v, c * dt, -s * dt, c * u - s * v, s * dt, c * dt),
+            *(-dt, -dt, -dt, -dt, -dt, g, r, -v, -g, -r, u, -r, r),
+        ),
+    )
+    return step.dot(covariance).dot(step.T) + noise.per_second * dt
 
 
-class Correction:
-    """Measurements of one moment, taken in one by one; `applied` gives the corrected motion."""
+class Measurement(NamedTuple):
+    """A scalar: its row of H as {error: factor}, what it differs by from the nominal, its own variance."""
 
-    def __init__(self, motion: Motion, covariance: Array) -> None:
-        """Begin with what is known before; the covariance (N, N) is left untouched."""
-        self.motion = motion
-        self.covariance = covariance.copy()
-        self._error = np.zeros(N)
+    row: dict[int, float]
+    innovation: float
+    variance: float
 
-    def take(self, row: dict[int, float], innovation: float, variance: float) -> None:
-        """Take in a scalar: its row of H, what it differs by from the nominal, and its own variance."""
-        gain, seen = self._gain(row), innovation
-        total = variance
-        for index, factor in row.items():
-            total += factor * gain[index]
-            seen -= factor * self._error[index]
-        self._error += gain * (seen / total)
-        self.covariance -= np.multiply.outer(gain, gain / total)
 
-    def variance(self, row: dict[int, float]) -> float:
-        """Variance of a scalar as predicted, without its own noise."""
-        gain = self._gain(row)
-        return float(sum(factor * gain[index] for index, factor in row.items()))
+def correct(covariance: Array, measured: Sequence[Measurement]) -> tuple[Array, Array]:
+    """Take in measurements of one moment together.
 
-    def _gain(self, row: dict[int, float]) -> Array:
-        gain = np.zeros(N)
-        for index, factor in row.items():
-            gain += factor * self.covariance[index]
-        return gain
+    Returns the errors found, (N,), and their covariance afterwards, (N, N).
+    """
+    across, of_innovation = _innovation(covariance, measured)
+    _, gain, _ = dposv(of_innovation, across.T)  # S^-1 H P, the gain transposed
+    innovation = np.array([scalar.innovation for scalar in measured])
+    return innovation.dot(gain), covariance - across.dot(gain)
 
-    def applied(self) -> Motion:
-        """The nominal state with the errors found put right."""
-        m = self.motion
-        x, y, yaw, u, v, pitch, roll, gx, gy, gz, ax, ay, scale, fx, fy, hx, hy = self._error.tolist()
-        (bx, by, bz), (a, b), field, iron = m.gyro_bias_radps, m.accel_bias_mps2, m.field_ut, m.iron_ut
-        return replace(
-            m,
-            x_m=m.x_m + x,
-            y_m=m.y_m + y,
-            yaw_rad=m.yaw_rad + yaw,
-            u_mps=m.u_mps + u,
-            v_mps=m.v_mps + v,
-            pitch_rad=m.pitch_rad + pitch,
-            roll_rad=m.roll_rad + roll,
-            gyro_bias_radps=(bx + gx, by + gy, bz + gz),
-            accel_bias_mps2=(a + ax, b + ay),
-            scale=m.scale + scale,
-            field_ut=(field[0] + fx, field[1] + fy),
-            iron_ut=(iron[0] + hx, iron[1] + hy),
-        )
+
+def surprising(covariance: Array, measured: Sequence[Measurement], sigmas: float) -> bool:
+    """Tell whether any scalar is further off than so many sigmas of what was expected."""
+    _, of_innovation = _innovation(covariance, measured)
+    expected = of_innovation.diagonal().tolist()
+    return any(
+        scalar.innovation**2 > sigmas**2 * variance
+        for scalar, variance in zip(measured, expected, strict=True)
+    )
+
+
+def _innovation(covariance: Array, measured: Sequence[Measurement]) -> tuple[Array, Array]:
+    """P H' (N, m) and the covariance of the innovation S = H P H' + R (m, m)."""
+    rows = np.zeros((len(measured), N))
+    for index, scalar in enumerate(measured):
+        for error, factor in scalar.row.items():
+            rows[index, error] = factor
+    across = covariance.dot(rows.T)
+    of_innovation = rows.dot(across)
+    for index, scalar in enumerate(measured):
+        of_innovation[index, index] += scalar.variance
+    return across, of_innovation
+
+
+def put_right(motion: Motion, errors: Array) -> Motion:
+    """The nominal state without the errors found, (N,)."""
+    m, known = motion, motion.learned
+    x, y, yaw, u, v, pitch, roll, gx, gy, gz, ax, ay, scale, fx, fy, hx, hy = errors.tolist()
+    (bx, by, bz), (a, b) = known.gyro_bias_radps, known.accel_bias_mps2
+    (north, west), (iron_x, iron_y) = known.field_ut, known.iron_ut
+    learned = Learned(
+        (bx + gx, by + gy, bz + gz),
+        (a + ax, b + ay),
+        known.scale + scale,
+        (north + fx, west + fy),
+        (iron_x + hx, iron_y + hy),
+    )
+    return Motion(
+        m.x_m + x,
+        m.y_m + y,
+        m.yaw_rad + yaw,
+        m.u_mps + u,
+        m.v_mps + v,
+        m.pitch_rad + pitch,
+        m.roll_rad + roll,
+        m.rate_radps,
+        m.accel_mps2,
+        learned,
+    )

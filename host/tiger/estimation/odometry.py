@@ -9,7 +9,7 @@ distance is counted along the ground; x and y are of its projection.
 from __future__ import annotations
 
 from dataclasses import field
-from math import asin, cos, hypot, pi, sin, sqrt
+from math import asin, cos, hypot, pi, radians, sin, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,14 +27,14 @@ from tiger.estimation.inertial import (
     ROLL,
     SCALE,
     YAW,
-    Correction,
+    Measurement,
     Motion,
     N,
     Noise,
     U,
     V,
 )
-from tiger.estimation.slip import SlipState
+from tiger.estimation.slip import FourBools, SlipState, Wheels
 from tiger.frozen import dataclass, replace
 from tiger.models.full_car import GRAVITY_MPS2
 from tiger.record import STILL, Odometry
@@ -43,14 +43,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from tiger.config.robot import OdometryConfig, RobotConfig
-    from tiger.record import Estimate, Four, ImuRawSample, Inputs, Three
+    from tiger.record import Estimate, Four, ImuRawSample, Inputs, Three, WheelSample
 
     Array = NDArray[np.float64]
 
 Six = tuple[float, float, float, float, float, float]
 
-CORRECT_EVERY = 2
-"""IMU samples between two corrections: 20 ms."""
+CORRECT_EVERY_S = 0.02
+STANDING_EVERY_S = 0.1
+"""Between two corrections, while the robot moves and while it stands."""
+HALF_A_SAMPLE_S = 0.005
 LONGEST_GAP_S = 0.1
 """Between two IMU samples; after a longer one no one knows what happened meanwhile."""
 TOOTH_RAD = 2.0 * pi / 60.0
@@ -69,28 +71,45 @@ class OdometryDesign:
     drive_slip_s2pm: float  # slip ratio for each m/s2 that the wheels push
     side_slip_s2pm: float
 
+    def half_track_at(self, stroke_mm: float) -> float:
+        """Half the track at one wheel in m."""
+        return half_track_m(self.drive, stroke_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class Magnetic:
+    """What is known of the magnetic field beside the errors' nominal."""
+
+    sample_ut: Three = (0.0, 0.0, 0.0)  # last used
+    up_ut: float = 0.0  # vertical component
+    found: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """What a correction leaves to the next."""
+
+    covariance: Array = field(default_factory=lambda: np.zeros((N, N)))
+    slip: SlipState = field(default_factory=SlipState)
+    imu_t_s: float = -np.inf  # of the sample that was corrected
+    wheel_t_s: float = -np.inf
+    stood_s: float = 0.0
+    magnetic: Magnetic = field(default_factory=Magnetic)
+    pose_covariance: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    speed_sigma_mps: float = 0.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryState:
     """What a tick leaves to the next."""
 
     motion: Motion = field(default_factory=Motion)
-    covariance: Array = field(default_factory=lambda: np.zeros((N, N)))
-    slip: SlipState = field(default_factory=SlipState)
     imu_t_s: float = -np.inf
-    wheel_t_s: float = -np.inf
-    mag_ut: Three = (0.0, 0.0, 0.0)  # the sample last used
-    field_up_ut: float = 0.0
-    corrected_s: float = 0.0  # time since the last correction
-    samples: int = 0  # of the IMU, since then
     push_mps2: float = 0.0  # specific force of the tyres ahead, smoothed
     side_push_mps2: float = 0.0
-    stood_s: float = 0.0
     distance_m: float = 0.0
-    pose_covariance: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    speed_sigma_mps: float = 0.0
+    held: Held = field(default_factory=Held)
     begun: bool = False
-    has_field: bool = False
 
 
 def design_odometry(robot: RobotConfig) -> OdometryDesign:
@@ -120,11 +139,8 @@ def step(
         return _begun(design, raw), Odometry()
     if raw.t_s > state.imu_t_s:
         state = _integrated(design, state, raw, estimate)
-    if left is not None and right is not None:
-        sampled_s = 0.5 * (left.t_s + right.t_s)
-        fresh = min(left.t_s, right.t_s) > state.wheel_t_s
-        if fresh and state.samples >= CORRECT_EVERY:
-            state = _corrected(design, state, inputs, estimate, sampled_s)
+    if left is not None and right is not None and _due(design.config, state, left, right):
+        state = _corrected(design, state, inputs, estimate)
     return state, _shown(design, state, inputs.now_s)
 
 
@@ -133,11 +149,11 @@ def _begun(design: OdometryDesign, raw: ImuRawSample) -> OdometryState:
     ax, ay, _ = raw.accel_mps2
     g = GRAVITY_MPS2
     pitch, roll = asin(min(1.0, max(-1.0, -ax / g))), asin(min(1.0, max(-1.0, ay / g)))
+    slipping = SlipState(scrub=design.config.scrub_start)
     return OdometryState(
         motion=Motion(pitch_rad=pitch, roll_rad=roll),
-        covariance=inertial.start_covariance(design.noise),
-        slip=SlipState(scrub=design.config.scrub_start),
         imu_t_s=raw.t_s,
+        held=Held(covariance=design.noise.at_start, slip=slipping, imu_t_s=raw.t_s),
         begun=True,
     )
 
@@ -146,160 +162,209 @@ def _integrated(
     design: OdometryDesign, state: OdometryState, raw: ImuRawSample, estimate: Estimate
 ) -> OdometryState:
     """Carry the nominal motion to a new IMU sample."""
-    dt = raw.t_s - state.imu_t_s
+    dt, before = raw.t_s - state.imu_t_s, state.motion
     if dt > LONGEST_GAP_S:
-        return replace(state, imu_t_s=raw.t_s, corrected_s=state.corrected_s + dt)
-    scale = design.config.gyro_scale_factor
+        return replace(state, imu_t_s=raw.t_s)
+    scale, ground = design.config.gyro_scale_factor, estimate.plate_pitch_rad
     p, q, r = raw.gyro_radps
-    gyro = (scale * p, scale * q, scale * r)
-    motion = inertial.integrate(state.motion, raw.accel_mps2, gyro, estimate.plate_pitch_rad, dt)
+    motion = inertial.integrate(before, raw.accel_mps2, (scale * p, scale * q, scale * r), ground, dt)
     smooth = dt / design.config.push_time_s
-    push = raw.accel_mps2[0] - motion.accel_bias_mps2[0]
-    push += GRAVITY_MPS2 * sin(motion.pitch_rad - estimate.plate_pitch_rad)  # as felt along the ground
-    side = raw.accel_mps2[1] - motion.accel_bias_mps2[1]
-    moved = 0.5 * (motion.u_mps + state.motion.u_mps) * dt
-    return replace(
-        state,
-        motion=motion,
-        imu_t_s=raw.t_s,
-        corrected_s=state.corrected_s + dt,
-        samples=state.samples + 1,
-        push_mps2=state.push_mps2 + smooth * (push - state.push_mps2),
-        side_push_mps2=state.side_push_mps2 + smooth * (side - state.side_push_mps2),
-        distance_m=state.distance_m + abs(moved),
+    (fx, fy, _), (ax, ay) = raw.accel_mps2, motion.learned.accel_bias_mps2
+    push = fx - ax + GRAVITY_MPS2 * sin(motion.pitch_rad - ground)  # as felt along the ground
+    return OdometryState(
+        motion,
+        raw.t_s,
+        state.push_mps2 + smooth * (push - state.push_mps2),
+        state.side_push_mps2 + smooth * (fy - ay - state.side_push_mps2),
+        state.distance_m + abs(0.5 * (motion.u_mps + before.u_mps) * dt),
+        state.held,
+        True,
     )
 
 
 # ---- what holds the motion --------------------------------------------------
 
 
+def _due(config: OdometryConfig, state: OdometryState, left: WheelSample, right: WheelSample) -> bool:
+    """Tell whether it is time to correct; a robot that stands needs it less often."""
+    held = state.held
+    if min(left.t_s, right.t_s) <= held.wheel_t_s:
+        return False
+    waited_s = state.imu_t_s - held.imu_t_s + HALF_A_SAMPLE_S
+    if waited_s < CORRECT_EVERY_S:
+        return False
+    turns = max(map(abs, left.speed_radps + right.speed_radps)) >= config.stand_wheel_radps
+    return turns or held.stood_s <= config.stand_s or waited_s >= STANDING_EVERY_S
+
+
 def _corrected(
-    design: OdometryDesign, state: OdometryState, inputs: Inputs, estimate: Estimate, sampled_s: float
+    design: OdometryDesign, state: OdometryState, inputs: Inputs, estimate: Estimate
 ) -> OdometryState:
     """Carry the covariance forward and take in wheels, standstill and magnetometer."""
-    config, motion, dt = design.config, state.motion, state.corrected_s
-    covariance = inertial.spread(state.covariance, motion, design.noise, dt)
-    correction = Correction(motion, covariance)
-    left, right = inputs.wheels_left, inputs.wheels_right
+    left, right, raw = inputs.wheels_left, inputs.wheels_right, inputs.imu_raw
     assert left is not None
     assert right is not None
-    wheel_radps = (left.speed_radps[0], right.speed_radps[0], left.speed_radps[1], right.speed_radps[1])
-    p, q, r = motion.rate_radps
+    assert raw is not None
+    config, motion, held = design.config, state.motion, state.held
+    dt, yaw_rate = state.imu_t_s - held.imu_t_s, motion.rate_radps[2]
+    covariance = inertial.spread(held.covariance, motion, design.noise, dt)
+    coasting = sqrt(max(covariance.item(U, U), 0.0))
+    wheels, wheel_radps, speed = _read_wheels(design, state, inputs, estimate)
+    good = slip.trusted(config, held.slip, wheels, speed, coasting, yaw_rate)
 
-    # The body's speed at the IMU's height when the wheels were measured: teeth tell of the time they took.
-    mean_radps = 0.25 * sum(map(abs, wheel_radps))
-    tooth_s = 0.5 * TOOTH_RAD / mean_radps if mean_radps > TOOTH_RAD / config.longest_tooth_s else 0.0
-    before_s = state.imu_t_s - sampled_s + tooth_s
-    lever = q * (design.com_height_m + design.imu_height_m)
-    ahead = cos(motion.pitch_rad - estimate.plate_pitch_rad)
-    radius = design.wheel_radius_m * (1.0 + motion.scale)
-    rolls = ahead * (1.0 - design.drive_slip_s2pm * state.push_mps2)
-    strokes = inputs.strokes.stroke_mm if inputs.strokes is not None else STILL
-    half_track = _four([half_track_m(design.drive, stroke) for stroke in strokes])
-    surface = _four([radius * speed for speed in wheel_radps])
-    wheels = slip.told(_four([rolls * speed + lever for speed in surface]), half_track, r, state.slip.scrub)
-    speed = motion.u_mps - motion.accel_mps2[0] * before_s
-    coasting = sqrt(max(float(covariance[U, U]), 0.0))
-    good = slip.trusted(config, state.slip, wheels, speed, coasting, r)
-
-    stood_s = _standing_s(config, state, wheel_radps, dt)
+    stood_s = _standing_s(config, state, covariance.item(GZ, GZ), wheel_radps, dt)
     standing = stood_s > config.stand_s
     if standing:
-        variance = config.stand_noise_mps**2
-        correction.take({U: 1.0}, q * design.imu_height_m - motion.u_mps, variance)
-        correction.take({V: 1.0}, -p * design.imu_height_m - motion.v_mps, variance)
-        correction.take({GZ: 1.0}, r, np.deg2rad(config.stand_gyro_degps) ** 2)
+        measured = _stands(design, motion, dt)
     else:
-        if any(good):
-            seen, both = slip.mean_of(wheels.told_mps, good)
-            if both and not slip.plausible(config, state.slip, seen, speed, coasting, r):
-                good = slip.NONE
-        if any(good):
-            scrubbing = config.scrub_speed_m * r if both else config.scrub_noise * r * half_track[0]
-            variance = config.wheel_sigma_mps**2 + config.memory * scrubbing**2
-            correction.take({U: 1.0, SCALE: -seen}, seen - speed, variance)
-        sliding = -design.side_slip_s2pm * state.side_push_mps2 * motion.u_mps
-        variance = config.slide_sigma_mps**2 + config.memory * (config.slide_m * r) ** 2
-        correction.take({V: 1.0}, sliding - p * design.imu_height_m - motion.v_mps, variance)
+        measured = [_slides_little(design, state)]
+        rolls, good = _rolls(design, held.slip, wheels, good, speed, coasting, yaw_rate)
+        measured += rolls
+    magnetic = held.magnetic
+    if raw.mag_ut != magnetic.sample_ut:
+        motion, magnetic, north = _with_field(config, covariance, motion, magnetic, raw.mag_ut)
+        measured += north
 
-    mag_ut, field_up, has_field = state.mag_ut, state.field_up_ut, state.has_field
-    raw = inputs.imu_raw
-    if raw is not None and raw.mag_ut != mag_ut:
-        mag_ut = raw.mag_ut
-        motion, field_up, has_field = _with_field(config, correction, state, mag_ut)
-        correction.motion = motion
-
-    motion = correction.applied()
-    sigma = sqrt(max(float(correction.covariance[U, U]), 0.0))
-    (xx, xy, x_yaw), (_, yy, y_yaw), (_, _, yaw_yaw) = correction.covariance[: YAW + 1, : YAW + 1].tolist()
-    surfaces = _four([ahead * speed + lever for speed in surface])
-    slipping = slip.step(
-        config, state.slip, replace(wheels, surface_mps=surfaces), good, motion.u_mps, sigma, r, dt
+    errors, covariance = inertial.correct(covariance, measured)
+    motion = inertial.put_right(motion, errors)
+    sigma = sqrt(max(covariance.item(U, U), 0.0))
+    slipping = slip.step(config, held.slip, wheels, good, motion.u_mps, sigma, yaw_rate, dt)
+    (xx, xy, x_yaw), (_, yy, y_yaw), (_, _, yaw_yaw) = covariance[: YAW + 1, : YAW + 1].tolist()
+    after = Held(
+        covariance,
+        SlipState(scrub=slipping.scrub) if standing else slipping,
+        state.imu_t_s,
+        max(left.t_s, right.t_s),
+        stood_s,
+        magnetic,
+        (xx, xy, x_yaw, yy, y_yaw, yaw_yaw),
+        sigma,
     )
-    return replace(
-        state,
-        motion=motion,
-        covariance=correction.covariance,
-        slip=SlipState(scrub=slipping.scrub) if standing else slipping,
-        wheel_t_s=max(left.t_s, right.t_s),
-        mag_ut=mag_ut,
-        field_up_ut=field_up,
-        has_field=has_field,
-        corrected_s=0.0,
-        samples=0,
-        stood_s=stood_s,
-        pose_covariance=(xx, xy, x_yaw, yy, y_yaw, yaw_yaw),
-        speed_sigma_mps=sigma,
+    return replace(state, motion=motion, held=after)
+
+
+def _read_wheels(
+    design: OdometryDesign, state: OdometryState, inputs: Inputs, estimate: Estimate
+) -> tuple[Wheels, Four, float]:
+    """What the wheels tell, their speeds, and the body's speed by inertia when they were measured.
+
+    Teeth tell of the time they took, which is over; a body that pitches carries the IMU along.
+    """
+    config, motion = design.config, state.motion
+    left, right, strokes = inputs.wheels_left, inputs.wheels_right, inputs.strokes
+    assert left is not None
+    assert right is not None
+    (fl, rl), (fr, rr) = left.speed_radps, right.speed_radps
+    mean_radps = 0.25 * (abs(fl) + abs(fr) + abs(rl) + abs(rr))
+    tooth_s = 0.5 * TOOTH_RAD / mean_radps if mean_radps > TOOTH_RAD / config.longest_tooth_s else 0.0
+    before_s = state.imu_t_s - 0.5 * (left.t_s + right.t_s) + tooth_s
+
+    _, q, r = motion.rate_radps
+    lever = q * (design.com_height_m + design.imu_height_m)
+    ahead = cos(motion.pitch_rad - estimate.plate_pitch_rad)
+    along = ahead * design.wheel_radius_m * (1.0 + motion.learned.scale)
+    a, b, c, d = strokes.stroke_mm if strokes is not None else STILL
+    wheels = slip.told(
+        (along * fl + lever, along * fr + lever, along * rl + lever, along * rr + lever),
+        (design.half_track_at(a), design.half_track_at(b), design.half_track_at(c), design.half_track_at(d)),
+        design.drive_slip_s2pm * state.push_mps2,
+        r,
+        state.held.slip.scrub,
     )
+    return wheels, (fl, fr, rl, rr), motion.u_mps - motion.accel_mps2[0] * before_s
 
 
-def _standing_s(config: OdometryConfig, state: OdometryState, wheel_radps: Four, dt: float) -> float:
+def _standing_s(
+    config: OdometryConfig, state: OdometryState, bias_variance: float, wheel_radps: Four, dt: float
+) -> float:
     """For how long all wheels have stood while nothing said that the robot slides."""
-    still = max(map(abs, wheel_radps)) < config.stand_wheel_radps
+    if max(map(abs, wheel_radps)) >= config.stand_wheel_radps:
+        return 0.0
+    most_radps = radians(config.stand_yaw_rate_degps)
+    known = bias_variance < most_radps**2 / 9.0
+    if known and abs(state.motion.rate_radps[2]) > most_radps:
+        return 0.0
     slow = hypot(state.motion.u_mps, state.motion.v_mps) < config.stand_speed_mps
-    turning = abs(state.motion.rate_radps[2]) > np.deg2rad(config.stand_yaw_rate_degps)
-    known = state.covariance[GZ, GZ] < np.deg2rad(config.stand_yaw_rate_degps) ** 2 / 9.0
-    return state.stood_s + dt if still and (slow or not known) and not (turning and known) else 0.0
+    return state.held.stood_s + dt if slow or not known else 0.0
+
+
+def _stands(design: OdometryDesign, motion: Motion, dt: float) -> list[Measurement]:
+    """Neither the wheels' contacts nor the heading move: what the gyro turns is its bias."""
+    config, (p, q, r) = design.config, motion.rate_radps
+    often = CORRECT_EVERY_S / dt  # sigmas are those of a measurement every 20 ms
+    variance = config.stand_noise_mps**2 * often
+    return [
+        Measurement({U: 1.0}, q * design.imu_height_m - motion.u_mps, variance),
+        Measurement({V: 1.0}, -p * design.imu_height_m - motion.v_mps, variance),
+        Measurement({GZ: 1.0}, r, radians(config.stand_gyro_degps) ** 2 * often),
+    ]
+
+
+def _rolls(
+    design: OdometryDesign,
+    slipping: SlipState,
+    wheels: Wheels,
+    good: FourBools,
+    speed_mps: float,
+    coasting_mps: float,
+    yaw_rate_radps: float,
+) -> tuple[list[Measurement], FourBools]:
+    """The speed that good wheels tell, and which of them are good once their mean has been looked at."""
+    if not any(good):
+        return [], good
+    config = design.config
+    seen, both = slip.mean_of(wheels.told_mps, good)
+    if both and not slip.plausible(config, slipping, seen, speed_mps, coasting_mps, yaw_rate_radps):
+        return [], slip.NONE
+    one_side = config.scrub_noise * wheels.half_track_m[0]
+    scrubbing = (config.scrub_speed_m if both else one_side) * yaw_rate_radps
+    variance = config.wheel_sigma_mps**2 + config.memory * scrubbing**2
+    return [Measurement({U: 1.0, SCALE: -seen}, seen - speed_mps, variance)], good
+
+
+def _slides_little(design: OdometryDesign, state: OdometryState) -> Measurement:
+    """A tyre drifts in proportion to the side force it takes; a turn is about a place not quite known."""
+    config, motion = design.config, state.motion
+    p, _, r = motion.rate_radps
+    sliding = -design.side_slip_s2pm * state.side_push_mps2 * motion.u_mps
+    variance = config.slide_sigma_mps**2 + config.memory * (config.slide_m * r) ** 2
+    return Measurement({V: 1.0}, sliding - p * design.imu_height_m - motion.v_mps, variance)
 
 
 def _with_field(
-    config: OdometryConfig, correction: Correction, state: OdometryState, mag_ut: Three
-) -> tuple[Motion, float, bool]:
-    """Take in a magnetometer sample, turned level; return the motion, the field's vertical part, and True.
+    config: OdometryConfig, covariance: Array, motion: Motion, magnetic: Magnetic, mag_ut: Three
+) -> tuple[Motion, Magnetic, list[Measurement]]:
+    """Look at a magnetometer sample, turned level; the first one is what Earth's field is taken for.
 
     It is Earth's field turned by the yaw, and what the robot itself carries; an error of roll or pitch mixes
     in the vertical field. A field whose vertical part or direction is not as expected is left out.
     """
-    motion = correction.motion
     sin_roll, cos_roll = sin(motion.roll_rad), cos(motion.roll_rad)
     sin_pitch, cos_pitch = sin(motion.pitch_rad), cos(motion.pitch_rad)
+    cos_yaw, sin_yaw = cos(motion.yaw_rad), sin(motion.yaw_rad)
     x, y, z = mag_ut
     level_y = cos_roll * y - sin_roll * z
     down = sin_roll * y + cos_roll * z
     level_x, up = cos_pitch * x + sin_pitch * down, cos_pitch * down - sin_pitch * x
-    if not state.has_field:
-        cos_yaw, sin_yaw = cos(motion.yaw_rad), sin(motion.yaw_rad)
+    if not magnetic.found:
         field_ut = (cos_yaw * level_x - sin_yaw * level_y, sin_yaw * level_x + cos_yaw * level_y)
-        return replace(motion, field_ut=field_ut), up, True
-    cos_yaw, sin_yaw = cos(motion.yaw_rad), sin(motion.yaw_rad)
-    (north, west), (iron_x, iron_y) = motion.field_ut, motion.iron_ut
+        learned = replace(motion.learned, field_ut=field_ut)
+        return replace(motion, learned=learned), Magnetic(mag_ut, up, True), []
+    (north, west), (iron_x, iron_y) = motion.learned.field_ut, motion.learned.iron_ut
     ahead, left = cos_yaw * north + sin_yaw * west, cos_yaw * west - sin_yaw * north
     variance = config.mag_noise_ut**2
-    rows = (
-        {YAW: left, FX: cos_yaw, FY: sin_yaw, HX: 1.0, PITCH: -up},
-        {YAW: -ahead, FX: -sin_yaw, FY: cos_yaw, HY: 1.0, ROLL: up},
-    )
-    misses = (level_x - ahead - iron_x, level_y - left - iron_y)
-    most = config.mag_gate_sigmas**2
-    off = up - state.field_up_ut
-    if off * off > most * config.mag_up_noise_ut**2 or any(
-        miss * miss > most * (correction.variance(row) + variance)
-        for row, miss in zip(rows, misses, strict=True)
-    ):
-        return motion, state.field_up_ut, True
-    for row, miss in zip(rows, misses, strict=True):
-        correction.take(row, miss, variance)
-    return motion, state.field_up_ut + config.mag_up_learning * off, True
+    measured = [
+        Measurement(
+            {YAW: left, FX: cos_yaw, FY: sin_yaw, HX: 1.0, PITCH: -up}, level_x - ahead - iron_x, variance
+        ),
+        Measurement(
+            {YAW: -ahead, FX: -sin_yaw, FY: cos_yaw, HY: 1.0, ROLL: up}, level_y - left - iron_y, variance
+        ),
+    ]
+    off, most = up - magnetic.up_ut, config.mag_gate_sigmas
+    if abs(off) > most * config.mag_up_noise_ut or inertial.surprising(covariance, measured, most):
+        return motion, Magnetic(mag_ut, magnetic.up_ut, True), []
+    return motion, Magnetic(mag_ut, magnetic.up_ut + config.mag_up_learning * off, True), measured
 
 
 # ---- what is shown --------------------------------------------------
@@ -307,7 +372,7 @@ def _with_field(
 
 def _shown(design: OdometryDesign, state: OdometryState, now_s: float) -> Odometry:
     """The estimate for now: the last sample's motion carried on for its age."""
-    motion = state.motion
+    motion, held = state.motion, state.held
     _, q, r = motion.rate_radps
     age_s = min(max(now_s - state.imu_t_s, 0.0), LONGEST_GAP_S)
     ahead, left = motion.u_mps * age_s, motion.v_mps * age_s
@@ -317,17 +382,12 @@ def _shown(design: OdometryDesign, state: OdometryState, now_s: float) -> Odomet
         motion.x_m + cos_yaw * ahead - sin_yaw * left,
         motion.y_m + sin_yaw * ahead + cos_yaw * left,
         yaw,
-        state.pose_covariance,
+        held.pose_covariance,
         motion.u_mps - q * design.imu_height_m,
-        state.speed_sigma_mps,
+        held.speed_sigma_mps,
         r,
         state.distance_m,
-        state.slip.ratio,
-        state.slip.slipping,
-        state.stood_s > design.config.stand_s,
+        held.slip.ratio,
+        held.slip.slipping,
+        held.stood_s > design.config.stand_s,
     )
-
-
-def _four(values: list[float]) -> Four:
-    a, b, c, d = values
-    return a, b, c, d

@@ -45,14 +45,23 @@ class Wheels:
     half_track_m: Four
 
 
-def told(surface_mps: Four, half_track_m: Four, yaw_rate_radps: float, scrub: float) -> Wheels:
-    """Return what the wheels tell; `surface_mps` of each tread, half the track at each wheel."""
-    turning = yaw_rate_radps * scrub
+def told(
+    surface_mps: Four, half_track_m: Four, drive_slip: float, yaw_rate_radps: float, scrub: float
+) -> Wheels:
+    """Return what the wheels tell; `surface_mps` of each tread, half the track at each wheel.
+
+    `drive_slip`: by how much of their speed the wheels slip because they push.
+    """
+    turning, rolls = yaw_rate_radps * scrub, 1.0 - drive_slip
     a, b, c, d = surface_mps
     fl, fr, rl, rr = half_track_m
-    return Wheels(
-        surface_mps, (a + turning * fl, b - turning * fr, c + turning * rl, d - turning * rr), half_track_m
+    middle = (
+        rolls * a + turning * fl,
+        rolls * b - turning * fr,
+        rolls * c + turning * rl,
+        rolls * d - turning * rr,
     )
+    return Wheels(surface_mps, middle, half_track_m)
 
 
 def trusted(

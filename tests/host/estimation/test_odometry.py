@@ -207,7 +207,7 @@ def test_a_robot_that_stands_stays_where_it_is_and_learns_its_gyro() -> None:
     assert result.last.standing
     assert hypot(result.last.x_m, result.last.y_m) < 0.02
     assert abs(degrees(result.last.yaw_rad)) < 0.3
-    biases = [degrees(bias) for bias in result.state.motion.gyro_bias_radps]
+    biases = [degrees(bias) for bias in result.state.motion.learned.gyro_bias_radps]
     assert biases[2] == pytest.approx(0.9, abs=0.02)
 
 
@@ -250,7 +250,7 @@ def test_heading_keeps_within_a_degree_over_minutes_of_turns(minutes: int) -> No
 def test_hard_iron_is_learned_while_the_robot_turns() -> None:
     driven = Driven(ramp(STAND_S, 0.7), ramp(STAND_S + 2.0, 0.3), seed=5)
     result = ride(driven, 120.0)
-    assert result.state.motion.iron_ut == pytest.approx(driven.iron_ut, abs=0.4)
+    assert result.state.motion.learned.iron_ut == pytest.approx(driven.iron_ut, abs=0.4)
 
 
 def test_a_magnet_beside_the_way_turns_no_heading() -> None:
@@ -331,12 +331,12 @@ def test_a_gap_of_the_imu_is_waited_out() -> None:
         if not 15.0 < truth.time_s < 15.3:
             state, believed = dead_reckoning.step(DESIGN, state, inputs, estimate, 0.01)
     assert believed.speed_mps == pytest.approx(1.0, abs=0.03)
-    assert np.isfinite(state.covariance).all()
+    assert np.isfinite(state.held.covariance).all()
 
 
 def test_the_covariance_stays_one() -> None:
     result = ride(Driven(ramp(STAND_S, 1.0), wander), 120.0)
-    covariance = result.state.covariance
+    covariance = result.state.held.covariance
     assert covariance == pytest.approx(covariance.T, rel=1e-6, abs=1e-12)
     scale = np.sqrt(np.diag(covariance))
     assert np.linalg.eigvalsh(covariance / np.outer(scale, scale)).min() > -1e-9
@@ -355,7 +355,7 @@ def test_the_equations_of_the_covariance_are_those_of_the_motion() -> None:
         moved = inertial.integrate(start, force, gyro, 0.03, dt)
         return np.array([getattr(moved, name) for name in names])
 
-    silent = inertial.Noise(np.zeros(inertial.N), np.zeros(inertial.N))
+    silent = inertial.Noise(*np.zeros((2, inertial.N, inertial.N)))
     for index, name in enumerate(names):
         column = (after(replace(motion, **{name: getattr(motion, name) + off})) - after(motion)) / off
         single = np.zeros((inertial.N, inertial.N))

@@ -29,7 +29,7 @@ def rolling(speed: float, yaw_rate: float = 0.0, scrub: float = 1.0, ratio: Four
 def follow(speed: float, surface: Four, seconds: float, state: SlipState | None = None) -> SlipState:
     state = state or SlipState()
     for _ in range(round(seconds / DT)):
-        wheels = slip.told(surface, TRACK, 0.0, 1.0)
+        wheels = slip.told(surface, TRACK, 0.0, 0.0, 1.0)
         state = slip.step(CONFIG, state, wheels, ALL, speed, 0.01, 0.0, DT)
     return state
 
@@ -43,7 +43,7 @@ def follow(speed: float, surface: Four, seconds: float, state: SlipState | None 
 def test_any_wheels_that_hold_tell_the_speed_of_the_body(
     speed: float, yaw_rate: float, scrub: float, good: list[bool]
 ) -> None:
-    wheels = slip.told(rolling(speed, yaw_rate, scrub), TRACK, yaw_rate, scrub)
+    wheels = slip.told(rolling(speed, yaw_rate, scrub), TRACK, 0.0, yaw_rate, scrub)
     fl, fr, rl, rr = good
     told, both = slip.mean_of(wheels.told_mps, (fl, fr, rl, rr))
     assert told == pytest.approx(speed, abs=1e-9)
@@ -54,14 +54,14 @@ def test_any_wheels_that_hold_tell_the_speed_of_the_body(
 def test_the_mean_of_both_sides_needs_no_scrub(
     speed: float, yaw_rate: float, scrub: float, believed: float
 ) -> None:
-    wheels = slip.told(rolling(speed, yaw_rate, scrub), TRACK, yaw_rate, believed)
+    wheels = slip.told(rolling(speed, yaw_rate, scrub), TRACK, 0.0, yaw_rate, believed)
     assert slip.mean_of(wheels.told_mps, ALL)[0] == pytest.approx(speed, abs=1e-9)
 
 
 @pytest.mark.parametrize("speed", [0.6, 1.0, 2.0, -1.0])
 def test_a_wheel_is_trusted_until_it_is_too_far_off(speed: float) -> None:
     def good(ratio: float, sigma: float = 0.01) -> bool:
-        wheels = slip.told(rolling(speed, ratio=(ratio, 0.0, ratio, 0.0)), TRACK, 0.0, 1.0)
+        wheels = slip.told(rolling(speed, ratio=(ratio, 0.0, ratio, 0.0)), TRACK, 0.0, 0.0, 1.0)
         fl, fr, rl, rr = slip.trusted(CONFIG, SlipState(), wheels, speed, sigma, 0.0)
         assert fr
         assert rr
@@ -76,18 +76,18 @@ def test_a_wheel_is_trusted_until_it_is_too_far_off(speed: float) -> None:
 
 def test_of_two_wheels_of_a_side_that_disagree_the_one_further_off_slips() -> None:
     """Even where a bend excuses either of them: scrub is common to both."""
-    wheels = slip.told(rolling(1.0, 0.4, 1.5, ratio=(0.0, 0.0, 0.0, 0.1)), TRACK, 0.4, 1.5)
+    wheels = slip.told(rolling(1.0, 0.4, 1.5, ratio=(0.0, 0.0, 0.0, 0.1)), TRACK, 0.0, 0.4, 1.5)
     assert slip.trusted(CONFIG, SlipState(), wheels, 1.0, 0.01, 0.4) == (True, True, True, False)
 
 
 def test_a_wheel_that_slipped_must_come_closer_to_be_believed() -> None:
-    wheels = slip.told(rolling(1.0, ratio=(0.06, 0.06, 0.06, 0.06)), TRACK, 0.0, 1.0)
+    wheels = slip.told(rolling(1.0, ratio=(0.06, 0.06, 0.06, 0.06)), TRACK, 0.0, 0.0, 1.0)
     state = SlipState(slipping=(True, False, False, False))
     assert slip.trusted(CONFIG, state, wheels, 1.0, 0.01, 0.0) == (False, True, True, True)
 
 
 def test_a_turn_is_no_slip_of_the_sides_that_scrub() -> None:
-    wheels = slip.told(rolling(1.0, 0.4, 1.8), TRACK, 0.4, 1.5)
+    wheels = slip.told(rolling(1.0, 0.4, 1.8), TRACK, 0.0, 0.4, 1.5)
     assert slip.trusted(CONFIG, SlipState(), wheels, 1.0, 0.01, 0.4) == ALL
 
 
@@ -110,7 +110,7 @@ def test_a_ratio_between_the_thresholds_changes_nothing() -> None:
 
 
 def test_an_uncertain_speed_flags_no_small_slip() -> None:
-    wheels = slip.told(rolling(1.0, ratio=(0.15,) * 4), TRACK, 0.0, 1.0)
+    wheels = slip.told(rolling(1.0, ratio=(0.15,) * 4), TRACK, 0.0, 0.0, 1.0)
     state = SlipState()
     for _ in range(20):
         state = slip.step(CONFIG, state, wheels, ALL, 1.0, 0.1, 0.0, DT)
@@ -134,13 +134,13 @@ def test_the_scrub_is_learned_from_turns(scrub: float) -> None:
     state = SlipState(scrub=1.5)
     for step in range(2000):
         yaw_rate = 0.3 if step % 400 < 200 else -0.3
-        wheels = slip.told(rolling(1.0, yaw_rate, scrub), TRACK, yaw_rate, state.scrub)
+        wheels = slip.told(rolling(1.0, yaw_rate, scrub), TRACK, 0.0, yaw_rate, state.scrub)
         state = slip.step(CONFIG, state, wheels, ALL, 1.0, 0.01, yaw_rate, DT)
     assert state.scrub == pytest.approx(scrub, abs=0.05)
 
 
 def test_wheels_that_slip_teach_no_scrub() -> None:
-    wheels = slip.told(rolling(1.0, 0.3, 2.5), TRACK, 0.3, 1.5)
+    wheels = slip.told(rolling(1.0, 0.3, 2.5), TRACK, 0.0, 0.3, 1.5)
     state = SlipState(scrub=1.5)
     for _ in range(500):
         state = slip.step(CONFIG, state, wheels, (False, True, True, True), 1.0, 0.01, 0.3, DT)
