@@ -25,7 +25,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from tiger.control.lqr import dlqr
-from tiger.control.reachable import WARP, Pose, Suspension
+from tiger.control.reachable import Pose, Suspension, seats
 from tiger.frozen import dataclass
 from tiger.record import STILL
 
@@ -151,8 +151,8 @@ def step(
     design: LevelingDesign, state: LevelingState, target: Target | None, stroke_mm: Four, dt: float
 ) -> tuple[LevelingState, Leveling]:
     """Advance by `dt`: the stroke rates that bring the body to the target, or to a stop without one."""
-    suspension, at = design.suspension, design.suspension.curve.at
-    lift, ratio = zip(*(at(s) for s in stroke_mm), strict=True)
+    suspension = design.suspension
+    lift, ratio = seats(suspension, stroke_mm)
     rate = _lagged(design, state, dt)
     at_limit = _at_limit(suspension, stroke_mm)
     if target is None:
@@ -167,7 +167,7 @@ def step(
     astray = max(abs(ride_error), abs(warp_error) if target.twists else 0.0) > design.config.ride_wake_mm
     phase = _phase(design, state.phase, target, error, centred=centred, astray=astray, dt=dt)
     if phase.moving:
-        speed = suspension.pose(tuple(m * v for m, v in zip(ratio, rate, strict=True)))
+        speed = suspension.pose(_product(ratio, rate))
         turning = _turning(design, phase, target)
         warping = _warping(design, target, warp_error, speed)
         pressing = _pressing(design, error, turning, abs(warping) if target.twists else 0.0)
@@ -240,18 +240,17 @@ def _pressing(
 ) -> tuple[float, float]:
     """Roll and pitch error, without one inside the dead zone while the actuators are busy with the other, or
     with a twist."""
-    demand = [
-        abs(rate + design.error_gain_per_s * angle) / limit
-        for angle, rate, limit in zip(error, turning_radps, design.turn_limits_radps, strict=True)
-    ]
-    if max(*demand, twisting_mmps / design.lift_rate_mmps) < 1.0:
+    gain, zone = design.error_gain_per_s, design.wake_moving_rad
+    (roll, pitch), (roll_rate, pitch_rate) = error, turning_radps
+    roll_limit, pitch_limit = design.turn_limits_radps
+    in_roll = abs(roll_rate + gain * roll) / roll_limit
+    in_pitch = abs(pitch_rate + gain * pitch) / pitch_limit
+    if max(in_roll, in_pitch, twisting_mmps / design.lift_rate_mmps) < 1.0:
         return error
-    zone = design.wake_moving_rad
-    roll, pitch = (
-        angle if share >= 1.0 or abs(angle) > zone else 0.0
-        for angle, share in zip(error, demand, strict=True)
+    return (
+        roll if in_roll >= 1.0 or abs(roll) > zone else 0.0,
+        pitch if in_pitch >= 1.0 or abs(pitch) > zone else 0.0,
     )
-    return roll, pitch
 
 
 def _feedback(
@@ -285,9 +284,11 @@ def _warping(design: LevelingDesign, target: Target, error_mm: float, speed: Pos
     return min(most, max(-most, rate))
 
 
-def _allocate(
-    suspension: Suspension, wanted: Pose, ratio: Four, limits: tuple[tuple[float, float], ...]
-) -> Four:
+Limits = tuple[tuple[float, float], tuple[float, float], tuple[float, float], tuple[float, float]]
+"""Lowest and highest rate of each corner."""
+
+
+def _allocate(suspension: Suspension, wanted: Pose, ratio: Four, limits: Limits) -> Four:
     """Turn wanted pose rates into four stroke rates within (lowest, highest) mm/s each; 0 lies within each.
 
     Corner i lifts at (ride + k d_i) with d_i the share of roll, pitch and warp. k <= 1 is the largest scale
@@ -295,84 +296,117 @@ def _allocate(
     high_j - low_i. Then the ride rate is the wanted one clipped to what the corners leave.
     """
     tilt = suspension.lifts_mm(Pose(wanted.roll_rad, wanted.pitch_rad, 0.0, wanted.warp_mm))
-    low = [m * lo for m, (lo, _) in zip(ratio, limits, strict=True)]
-    high = [m * hi for m, (_, hi) in zip(ratio, limits, strict=True)]
+    low, high = _lift_limits(ratio, limits)
     scale = 1.0
-    for d_i, low_i in zip(tilt, low, strict=True):
-        for d_j, high_j in zip(tilt, high, strict=True):
-            room = high_j - low_i
-            if scale * (d_j - d_i) > room:
-                scale = room / (d_j - d_i)
-    lowest = max(lo - scale * d for lo, d in zip(low, tilt, strict=True))
-    highest = min(hi - scale * d for hi, d in zip(high, tilt, strict=True))
+    lowest, highest = max(_difference(low, tilt)), min(_difference(high, tilt))
+    if lowest > highest:
+        for d_i, low_i in zip(tilt, low, strict=True):
+            for d_j, high_j in zip(tilt, high, strict=True):
+                room = high_j - low_i
+                if scale * (d_j - d_i) > room:
+                    scale = room / (d_j - d_i)
+        tilt = _scaled(scale, tilt)
+        lowest, highest = max(_difference(low, tilt)), min(_difference(high, tilt))
     ride = max(lowest, min(highest, wanted.ride_mm))
-    fl, fr, rl, rr = ((ride + scale * d) / m for d, m in zip(tilt, ratio, strict=True))
-    return fl, fr, rl, rr
+    (fl, fr, rl, rr), (m_fl, m_fr, m_rl, m_rr) = tilt, ratio
+    return (ride + fl) / m_fl, (ride + fr) / m_fr, (ride + rl) / m_rl, (ride + rr) / m_rr
 
 
-def _allocate_twisting(
-    suspension: Suspension, wanted: Pose, ratio: Four, limits: tuple[tuple[float, float], ...]
-) -> Four:
+def _allocate_twisting(suspension: Suspension, wanted: Pose, ratio: Four, limits: Limits) -> Four:
     """As `_allocate`, with the twist to give way to roll and pitch, and ride to both.
 
     The two corners of a diagonal share what ride and twist do to them, so only they compete: k (d_j - d_i) <=
     high_j - low_i within a diagonal. Then twist, then ride are the wanted ones clipped to what is left.
     """
     tilt = suspension.lifts_mm(Pose(wanted.roll_rad, wanted.pitch_rad, 0.0))
-    low = [m * lo for m, (lo, _) in zip(ratio, limits, strict=True)]
-    high = [m * hi for m, (_, hi) in zip(ratio, limits, strict=True)]
+    low, high = _lift_limits(ratio, limits)
     scale = 1.0
     for i, j in ((0, 3), (3, 0), (1, 2), (2, 1)):
         room = high[j] - low[i]
         if scale * (tilt[j] - tilt[i]) > room:
             scale = room / (tilt[j] - tilt[i])
-    least = [lo - scale * d for lo, d in zip(low, tilt, strict=True)]
-    most = [hi - scale * d for hi, d in zip(high, tilt, strict=True)]
+    tilt = _scaled(scale, tilt)
+    least, most = _difference(low, tilt), _difference(high, tilt)
     # What ride + twist may be (FL, RR), and ride - twist (FR, RL).
     up_low, up_high = max(least[0], least[3]), min(most[0], most[3])
     down_low, down_high = max(least[1], least[2]), min(most[1], most[2])
     warp = max(0.5 * (up_low - down_high), min(0.5 * (up_high - down_low), wanted.warp_mm))
     lowest, highest = max(up_low - warp, down_low + warp), min(up_high - warp, down_high + warp)
     ride = max(lowest, min(highest, wanted.ride_mm))
-    fl, fr, rl, rr = (
-        (ride + sign * warp + scale * d) / m for sign, d, m in zip(WARP, tilt, ratio, strict=True)
+    (fl, fr, rl, rr), (m_fl, m_fr, m_rl, m_rr) = tilt, ratio
+    up, down = ride + warp, ride - warp
+    return (up + fl) / m_fl, (down + fr) / m_fr, (down + rl) / m_rl, (up + rr) / m_rr
+
+
+def _lift_limits(ratio: Four, limits: Limits) -> tuple[Four, Four]:
+    """Lowest and highest rate of each seat, from those of the strokes."""
+    (m_fl, m_fr, m_rl, m_rr), (fl, fr, rl, rr) = ratio, limits
+    return (
+        (m_fl * fl[0], m_fr * fr[0], m_rl * rl[0], m_rr * rr[0]),
+        (m_fl * fl[1], m_fr * fr[1], m_rl * rl[1], m_rr * rr[1]),
     )
-    return fl, fr, rl, rr
 
 
-def _rate_limits(design: LevelingDesign, stroke_mm: Four, rate_mmps: Four) -> tuple[tuple[float, float], ...]:
+def _rate_limits(design: LevelingDesign, stroke_mm: Four, rate_mmps: Four) -> Limits:
     """Rates each actuator may have: its speed, or less where it must brake before the end of its range."""
+    (fl, fr, rl, rr), (v_fl, v_fr, v_rl, v_rr) = stroke_mm, rate_mmps
+    lag_s = design.lag_s
+    return (
+        _rate_limit(design, fl + lag_s * v_fl),
+        _rate_limit(design, fr + lag_s * v_fr),
+        _rate_limit(design, rl + lag_s * v_rl),
+        _rate_limit(design, rr + lag_s * v_rr),
+    )
+
+
+def _rate_limit(design: LevelingDesign, stroke_mm: float) -> tuple[float, float]:
     suspension, brake = design.suspension, design.config.stroke_brake_per_s
-    limits = []
-    for stroke, rate in zip(stroke_mm, rate_mmps, strict=True):
-        ahead = stroke + design.lag_s * rate
-        down = min(suspension.rate_mmps, max(0.0, brake * (ahead - suspension.stroke_low_mm)))
-        up = min(suspension.rate_mmps, max(0.0, brake * (suspension.stroke_high_mm - ahead)))
-        limits.append((-down, up))
-    return tuple(limits)
+    down = min(suspension.rate_mmps, max(0.0, brake * (stroke_mm - suspension.stroke_low_mm)))
+    up = min(suspension.rate_mmps, max(0.0, brake * (suspension.stroke_high_mm - stroke_mm)))
+    return -down, up
 
 
 def _slewed(design: LevelingDesign, last: Four, goal: Four, dt: float) -> Four:
     """Go from the last command towards the goal within the acceleration limit, in a straight line."""
-    change = max(abs(g - c) for g, c in zip(goal, last, strict=True))
+    way = _difference(goal, last)
+    change = max(max(way), -min(way))
     most = design.config.acceleration_mmps2 * dt
     if change <= most:
         return goal
+    (fl, fr, rl, rr), (d_fl, d_fr, d_rl, d_rr) = last, way
     share = most / change
-    fl, fr, rl, rr = (c + share * (g - c) for g, c in zip(goal, last, strict=True))
-    return fl, fr, rl, rr
+    return fl + share * d_fl, fr + share * d_fr, rl + share * d_rl, rr + share * d_rr
 
 
 def _lagged(design: LevelingDesign, state: LevelingState, dt: float) -> Four:
     """Rates that the actuators should have by now, from the commands: free of the potentiometers' noise."""
+    (v_fl, v_fr, v_rl, v_rr), (u_fl, u_fr, u_rl, u_rr) = state.rate_mmps, state.command_mmps
     keep = math.exp(-dt / design.lag_s)
-    fl, fr, rl, rr = (
-        keep * v + (1.0 - keep) * u for v, u in zip(state.rate_mmps, state.command_mmps, strict=True)
+    take = 1.0 - keep
+    return (
+        keep * v_fl + take * u_fl,
+        keep * v_fr + take * u_fr,
+        keep * v_rl + take * u_rl,
+        keep * v_rr + take * u_rr,
     )
-    return fl, fr, rl, rr
 
 
 def _at_limit(suspension: Suspension, stroke_mm: Four) -> tuple[bool, bool, bool, bool]:
     low, high = suspension.stroke_low_mm + _NEAR_LIMIT_MM, suspension.stroke_high_mm - _NEAR_LIMIT_MM
-    fl, fr, rl, rr = (stroke < low or stroke > high for stroke in stroke_mm)
-    return fl, fr, rl, rr
+    fl, fr, rl, rr = stroke_mm
+    return not low <= fl <= high, not low <= fr <= high, not low <= rl <= high, not low <= rr <= high
+
+
+# ---- four corners at once: a tick has no time for loops over four ----
+
+
+def _product(a: Four, b: Four) -> Four:
+    return a[0] * b[0], a[1] * b[1], a[2] * b[2], a[3] * b[3]
+
+
+def _difference(a: Four, b: Four) -> Four:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]
+
+
+def _scaled(share: float, a: Four) -> Four:
+    return share * a[0], share * a[1], share * a[2], share * a[3]

@@ -10,6 +10,7 @@ integral on those of mega_speed.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from tiger.config.robot import DriveControlConfig, RobotConfig
     from tiger.record import Command, Four, Inputs
 
-_SIDE: Four = (1.0, -1.0, 1.0, -1.0)  # left +
 _TRACK_POINTS = 29
 _RPM_PER_RADPS = 30.0 / math.pi
 
@@ -111,24 +111,34 @@ def step(
 
 def wheel_speeds_rpm(design: DriveDesign, speed_mps: float, yaw_rate_radps: float, stroke_mm: Four) -> Four:
     """Return wheel speeds for a motion at given strokes; beyond the limit all shrink, the curvature stays."""
-    factor = design.config.effective_track_factor
-    wheels = [
-        design.rpm_per_mps * (speed_mps - yaw_rate_radps * side * factor * half_track_m(design, stroke))
-        for side, stroke in zip(_SIDE, stroke_mm, strict=True)
-    ]
-    fastest = max(abs(rpm) for rpm in wheels)
-    scale = 1.0 if fastest <= design.rpm_max else design.rpm_max / fastest
-    fl, fr, rl, rr = (scale * rpm for rpm in wheels)
-    return fl, fr, rl, rr
+    turning = yaw_rate_radps * design.config.effective_track_factor
+    half_fl, half_fr, half_rl, half_rr = half_tracks_m(design, stroke_mm)
+    gain = design.rpm_per_mps
+    fl, rl = gain * (speed_mps - turning * half_fl), gain * (speed_mps - turning * half_rl)
+    fr, rr = gain * (speed_mps + turning * half_fr), gain * (speed_mps + turning * half_rr)
+    fastest = max(abs(fl), abs(fr), abs(rl), abs(rr))
+    if fastest <= design.rpm_max:
+        return fl, fr, rl, rr
+    scale = design.rpm_max / fastest
+    return scale * fl, scale * fr, scale * rl, scale * rr
+
+
+@lru_cache(maxsize=4)
+def half_tracks_m(design: DriveDesign, stroke_mm: Four) -> Four:
+    """Distance of each wheel's mid-plane from the vehicle's, at these strokes; a tick asks several times."""
+    fl, fr, rl, rr = stroke_mm
+    at = half_track_m
+    return at(design, fl), at(design, fr), at(design, rl), at(design, rr)
 
 
 def half_track_m(design: DriveDesign, stroke_mm: float) -> float:
     """Distance of a wheel's mid-plane from the vehicle's, at a stroke."""
-    last = len(design.half_track_m) - 1
+    table = design.half_track_m
+    last = len(table) - 1
     place = min(max(stroke_mm / design.stroke_max_mm, 0.0), 1.0) * last
     index = min(int(place), last - 1)
-    low, high = design.half_track_m[index : index + 2]
-    return low + (place - index) * (high - low)
+    low = table[index]
+    return low + (place - index) * (table[index + 1] - low)
 
 
 def ramp(now: Ramp, wanted: float, acceleration: float, jerk: float, dt: float) -> Ramp:

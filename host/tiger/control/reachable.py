@@ -9,6 +9,7 @@ stroke.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from tiger.frozen import dataclass
@@ -43,6 +44,10 @@ class Suspension:
     stroke_low_mm: float
     stroke_high_mm: float
     rate_mmps: float
+    lift_low_mm: float
+    """Lift at the lowest stroke in use."""
+    lift_high_mm: float
+    """Lift at the highest stroke in use."""
 
     @classmethod
     def from_config(cls, robot: RobotConfig) -> Suspension:
@@ -51,17 +56,9 @@ class Suspension:
         low, high = robot.stroke_range_mm
         x, y = corners.T.tolist()
         curve = Eam.from_vehicle(robot.vehicle).curve()
-        return cls(curve, tuple(x), tuple(y), low, high, robot.actuator.max_rate_mmps)
-
-    @property
-    def lift_low_mm(self) -> float:
-        """Lift at the lowest stroke in use."""
-        return self.curve.at(self.stroke_low_mm)[0]
-
-    @property
-    def lift_high_mm(self) -> float:
-        """Lift at the highest stroke in use."""
-        return self.curve.at(self.stroke_high_mm)[0]
+        (lift_low, _), (lift_high, _) = curve.at(low), curve.at(high)
+        rate = robot.actuator.max_rate_mmps
+        return cls(curve, tuple(x), tuple(y), low, high, rate, lift_low, lift_high)
 
     def pose(self, lift_mm: Four) -> Pose:
         """Return the plane through four lifts (least squares), and their warp."""
@@ -78,11 +75,14 @@ class Suspension:
 
     def lifts_mm(self, pose: Pose) -> Four:
         """Return the lifts of a pose."""
-        fl, fr, rl, rr = (
-            pose.ride_mm + y * pose.roll_rad - x * pose.pitch_rad + sign * pose.warp_mm
-            for x, y, sign in zip(self.x_mm, self.y_mm, WARP, strict=True)
+        (x_fl, x_fr, x_rl, x_rr), (y_fl, y_fr, y_rl, y_rr) = self.x_mm, self.y_mm
+        roll, pitch, ride, warp = pose.roll_rad, pose.pitch_rad, pose.ride_mm, pose.warp_mm
+        return (
+            ride + y_fl * roll - x_fl * pitch + warp,
+            ride + y_fr * roll - x_fr * pitch - warp,
+            ride + y_rl * roll - x_rl * pitch - warp,
+            ride + y_rr * roll - x_rr * pitch + warp,
         )
-        return fl, fr, rl, rr
 
     def reachable(self, roll_rad: float, pitch_rad: float) -> bool:
         """Tell whether some ride height allows this attitude relative to the wheels."""
@@ -132,6 +132,15 @@ class Suspension:
         return self.nearest(math.pi, 0.0)[0], self.nearest(0.0, math.pi)[1]
 
 
+@lru_cache(maxsize=4)
+def seats(suspension: Suspension, stroke_mm: Four) -> tuple[Four, Four]:
+    """Return the lift of the four seats in mm, and their motion ratios; a tick asks several times."""
+    at, (fl, fr, rl, rr) = suspension.curve.at, stroke_mm
+    (lift_fl, ratio_fl), (lift_fr, ratio_fr) = at(fl), at(fr)
+    (lift_rl, ratio_rl), (lift_rr, ratio_rr) = at(rl), at(rr)
+    return (lift_fl, lift_fr, lift_rl, lift_rr), (ratio_fl, ratio_fr, ratio_rl, ratio_rr)
+
+
 def rate_bound_s(suspension: Suspension, stroke_mm: Four, roll_rad: float, pitch_rad: float) -> float:
     """Return the least time in which any controller turns the body by roll and pitch from the present
     strokes.
@@ -139,7 +148,7 @@ def rate_bound_s(suspension: Suspension, stroke_mm: Four, roll_rad: float, pitch
     All that limits it is the actuators' speed and the ends of their stroke: no lag, no delay, ride height
     free. Pass the turn less the band that counts as arrived. Infinite when the turn is out of reach.
     """
-    lift = tuple(suspension.curve.at(s)[0] for s in stroke_mm)
+    lift, _ = seats(suspension, stroke_mm)
     tilt = suspension.lifts_mm(Pose(roll_rad, pitch_rad, 0.0))
 
     def possible(time_s: float) -> bool:

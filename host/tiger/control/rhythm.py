@@ -75,43 +75,43 @@ def learn(state: Rhythm, angle_rad: float, rate_radps: float, dt: float) -> Rhyt
     """Advance by `dt` with the ground's present angle and rate."""
     if state.direction == 0 and abs(rate_radps) < _TURNING_RADPS:
         return _STILL
-    state = _time_turning_points(state, angle_rad, rate_radps, dt)
-    w = state.frequency_radps
-    if w == 0.0:
-        return state
-    error = angle_rad - state.centre - state.x
-    # An exact rotation, then the corrections: Euler steps would let the amplitude grow.
-    cos, sin = math.cos(w * dt), math.sin(w * dt)
-    x = state.x * cos + state.y * sin + _GAIN * w * error * dt
-    y = state.y * cos - state.x * sin
-    pull = _FREQUENCY_GAIN * w * error * y / max(x * x + y * y, _NO_POWER) * dt
-    frequency = w * (1.0 + min(_MOST_PULL, max(-_MOST_PULL, pull)))
-    return Rhythm(
-        x,
-        y,
-        state.centre + _OFFSET_GAIN * w * error * dt,
-        min(_HIGHEST_RADPS, max(_LOWEST_RADPS, frequency)),
-        state.learned_rad + w * dt,
-        state.miss2 + min(1.0, _MISS_SHARE_OF_PHASE * w * dt) * (error * error - state.miss2),
-        state.direction,
-        state.half_period_s,
-        state.turned_at_rad,
-        state.still_s,
-        state.misfits,
-    )
-
-
-def _time_turning_points(state: Rhythm, angle_rad: float, rate_radps: float, dt: float) -> Rhythm:
-    """Measure half periods; start from the first, and again when two in a row do not fit the frequency."""
+    half_period_s, still_s = state.half_period_s + dt, 0.0
     if abs(rate_radps) < _TURNING_RADPS:
         still_s = state.still_s + dt
         if still_s > _STILL_S:
             return _STILL
-        return replace(state, half_period_s=state.half_period_s + dt, still_s=still_s)
+    elif state.direction != (1 if rate_radps > 0.0 else -1):
+        state = _turned(state, angle_rad, rate_radps, half_period_s)
+        half_period_s = state.half_period_s
+    w = state.frequency_radps
+    if w == 0.0:
+        return replace(state, half_period_s=half_period_s, still_s=still_s)
+    was_x, was_y, centre, phase = state.x, state.y, state.centre, w * dt
+    error = angle_rad - centre - was_x
+    # An exact rotation, then the corrections: Euler steps would let the amplitude grow.
+    cos, sin, push = math.cos(phase), math.sin(phase), phase * error
+    x = was_x * cos + was_y * sin + _GAIN * push
+    y = was_y * cos - was_x * sin
+    pull = _FREQUENCY_GAIN * push * y / max(x * x + y * y, _NO_POWER)
+    frequency = w * (1.0 + min(_MOST_PULL, max(-_MOST_PULL, pull)))
+    return Rhythm(
+        x,
+        y,
+        centre + _OFFSET_GAIN * push,
+        min(_HIGHEST_RADPS, max(_LOWEST_RADPS, frequency)),
+        state.learned_rad + phase,
+        state.miss2 + min(1.0, _MISS_SHARE_OF_PHASE * phase) * (error * error - state.miss2),
+        state.direction,
+        half_period_s,
+        state.turned_at_rad,
+        still_s,
+        state.misfits,
+    )
+
+
+def _turned(state: Rhythm, angle_rad: float, rate_radps: float, half_period_s: float) -> Rhythm:
+    """Take in a turning point: start from the first, and again when two in a row do not fit the frequency."""
     direction = 1 if rate_radps > 0.0 else -1
-    half_period_s = state.half_period_s + dt
-    if direction == state.direction:
-        return replace(state, half_period_s=half_period_s, still_s=0.0)
     if state.direction == 0:
         return Rhythm(direction=direction)
     known = state.frequency_radps
@@ -124,7 +124,6 @@ def _time_turning_points(state: Rhythm, angle_rad: float, rate_radps: float, dt:
             direction=direction,
             half_period_s=0.0,
             turned_at_rad=angle_rad,
-            still_s=0.0,
             misfits=misfits,
         )
     # From one turning point to the other: the ground is at the end of its swing.

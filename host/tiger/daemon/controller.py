@@ -20,7 +20,7 @@ from tiger.control import attitude, balance, drive, stability, traction
 from tiger.control.attitude import LevelingDesign, LevelingState, Target
 from tiger.control.balance import BalanceState
 from tiger.control.drive import DriveDesign, DriveState
-from tiger.control.reachable import Pose
+from tiger.control.reachable import Pose, seats
 from tiger.control.rhythm import Rhythm, followable, learn
 from tiger.control.stability import StabilityDesign, StabilityState
 from tiger.control.traction import TractionDesign, TractionState
@@ -91,11 +91,6 @@ def initial_state(design: ControllerDesign) -> ControllerState:
 
 def rearmed(design: ControllerDesign, state: ControllerState) -> ControllerState:
     """Return the state that an armed phase begins with: what is known of the robot, and no command yet."""
-    return _at_rest(state)
-
-
-def _at_rest(state: ControllerState) -> ControllerState:
-    """What is known of the robot and its ground, without anything that was being done about it."""
     return ControllerState(
         state.observer,
         state.situation,
@@ -111,12 +106,10 @@ def step(
     """Advance by `dt` seconds. Commands are zero unless armed, with strokes and an estimate to act on."""
     observed, estimate = _observe(design, state, inputs)
     imu_t_s = state.imu_t_s if inputs.imu is None else inputs.imu.t_s
-    state = replace(state, observer=observed, imu_t_s=imu_t_s)
     strokes = inputs.strokes
     if strokes is None or not estimate.ready:
-        return replace(_at_rest(state), ground=(Rhythm(), Rhythm())), Outputs(
-            estimate=estimate, reason="not ready"
-        )
+        state = ControllerState(observed, state.situation, imu_t_s=imu_t_s, stability=state.stability)
+        return state, Outputs(estimate=estimate, reason="not ready")
     ground = (
         learn(state.ground[0], estimate.plate_roll_rad, estimate.plate_roll_rate_radps, dt),
         learn(state.ground[1], estimate.plate_pitch_rad, estimate.plate_pitch_rate_radps, dt),
@@ -126,13 +119,13 @@ def step(
         design.stability, state.stability, inputs.command, inputs, estimate, dt
     )
     estimate = replace(estimate, stability=margins)
-    state = replace(state, ground=ground, situation=known, stability=steady)
     if not inputs.armed:
-        return _at_rest(state), Outputs(estimate=estimate, reason="not armed")
+        state = ControllerState(observed, known, ground=ground, imu_t_s=imu_t_s, stability=steady)
+        return state, Outputs(estimate=estimate, reason="not armed")
 
-    posed = _posed_now(design, strokes.stroke_mm)
-    balancing = _balancing(design, state, command, posed)
-    now = _Known(estimate, ground, balancing, known.contact.contact)
+    contact = known.contact.contact
+    balancing = _balancing(design, state.balance, command, contact, strokes.stroke_mm)
+    now = _Known(estimate, ground, balancing, contact)
     target, reason = _target(design, command, now)
     leveling, levelled = attitude.step(design.leveling, state.leveling, target, strokes.stroke_mm, dt)
     driving, wheel_rpm = drive.step(design.drive, state.drive, command, inputs, dt)
@@ -154,25 +147,29 @@ def step(
         at_limit=levelled.at_limit,
         traction=forces,
     )
-    return replace(state, leveling=leveling, balance=balancing, drive=driving, traction=gripping), outputs
-
-
-def _posed_now(design: ControllerDesign, stroke_mm: Four) -> Pose:
-    """Pose of the body against its wheels that the strokes make."""
-    at = design.leveling.suspension.curve.at
-    fl, fr, rl, rr = (at(stroke)[0] for stroke in stroke_mm)
-    return design.leveling.suspension.pose((fl, fr, rl, rr))
+    return ControllerState(
+        observer=observed,
+        situation=known,
+        leveling=leveling,
+        drive=driving,
+        ground=ground,
+        imu_t_s=imu_t_s,
+        balance=balancing,
+        stability=steady,
+        traction=gripping,
+    ), outputs
 
 
 def _balancing(
-    design: ControllerDesign, state: ControllerState, command: Command, posed: Pose
+    design: ControllerDesign, state: BalanceState, command: Command, contact: Contact, stroke_mm: Four
 ) -> BalanceState:
     """Advance mode balance; in any other mode it waits at its beginning."""
     if command.mode is not Mode.BALANCE:
         return BalanceState()
-    contact, most_mm = state.situation.contact.contact, design.leveling.suspension.warp_most_mm
-    now = balance.Situation(contact, posed.warp_mm, most_mm)
-    return balance.step(design.robot.balance, state.balance, now)
+    suspension = design.leveling.suspension
+    warp_mm = suspension.pose(seats(suspension, stroke_mm)[0]).warp_mm
+    now = balance.Situation(contact, warp_mm, suspension.warp_most_mm)
+    return balance.step(design.robot.balance, state, now)
 
 
 def _observe(
@@ -181,8 +178,7 @@ def _observe(
     strokes, imu = inputs.strokes, inputs.imu
     if strokes is None:
         return state.observer, Estimate()
-    at = design.leveling.suspension.curve.at
-    lift, ratio = zip(*(at(s) for s in strokes.stroke_mm), strict=True)
+    lift, ratio = seats(design.leveling.suspension, strokes.stroke_mm)
     lift_m = np.array(lift) * 0.001
     lift_rate_mps = np.array(ratio) * np.array(strokes.rate_mmps) * 0.001
     sample = imu if imu is not None and imu.t_s > state.imu_t_s else None

@@ -425,14 +425,16 @@ class LiftCurve:
 
     def at(self, stroke_mm: float) -> tuple[float, float]:
         """Return (rise_mm, motion ratio) at one stroke, in under a microsecond."""
-        stroke = (
-            0.0 if stroke_mm < 0.0 else self.stroke_max_mm if stroke_mm > self.stroke_max_mm else stroke_mm
-        )
-        index = int(stroke * self.pieces_per_mm)
+        stroke, per_mm = stroke_mm, self.pieces_per_mm
+        if stroke < 0.0:
+            stroke = 0.0
+        elif stroke > self.stroke_max_mm:
+            stroke = self.stroke_max_mm
+        index = int(stroke * per_mm)
         if index > self._last:
             index = self._last
         c3, c2, c1, c0 = self._pieces[index]
-        x = stroke - index / self.pieces_per_mm
+        x = stroke - index / per_mm
         return ((c3 * x + c2) * x + c1) * x + c0, (3.0 * c3 * x + 2.0 * c2) * x + c1
 
 
