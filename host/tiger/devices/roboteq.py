@@ -164,6 +164,7 @@ class _Exchange:
     ) -> None:
         """`stale` are lines of abandoned exchanges whose echoes and answers may still come before ours."""
         self.lines = lines
+        self.sent = [line.encode("ascii") for line in lines]
         self.sent_s = sent_s
         self.deadline_s = sent_s + DEADLINE_S
         self._stale = stale
@@ -181,7 +182,7 @@ class _Exchange:
 
     def hear(self, line: bytes) -> bool:
         """Take one line; returns whether it belonged here."""
-        sent = self.lines[self._place].encode("ascii")
+        sent = self.sent[self._place]
         if self._echoed:
             return self._answer(sent, line)
         if line == sent:
@@ -193,7 +194,7 @@ class _Exchange:
         # Perhaps our command arrived as another one; and an answer without its echo confirms nothing.
         if line in self._stale:
             return False
-        skipped = line.decode("ascii", "replace") in self.lines
+        skipped = line in self.sent
         self.wrong_echo = line[:1] in _COMMAND_START and not skipped
         self.failed = self.wrong_echo or skipped or (line in (b"+", b"-") and not self._stale)
         return False
@@ -203,7 +204,7 @@ class _Exchange:
             right = line == b"+"
             self.failed = line == b"-" or line[:1] in _COMMAND_START
         else:
-            values = _values(sent[1:].decode("ascii"), line)
+            values = _values(sent, line)
             right = values is not None
             self.failed = not right
             self.refused = line == b"-"
@@ -216,12 +217,13 @@ class _Exchange:
 
 
 @lru_cache(maxsize=1024)  # every query is asked three times, and most answers are those of before
-def _values(name: str, line: bytes) -> tuple[int, ...] | None:
-    """The numbers of the answer to a query; None unless the line is exactly such an answer."""
+def _values(sent: bytes, line: bytes) -> tuple[int, ...] | None:
+    """The numbers of the answer to the query that was sent; None unless the line is exactly such an
+    answer."""
     match = _ANSWER.fullmatch(line)
-    query = _QUERIES[name]
-    if match is None or match[1].decode("ascii") != name:
+    if match is None or match[1] != sent[1:]:
         return None
+    query = _QUERIES[sent[1:].decode("ascii")]
     values = tuple(int(value) for value in match[2].split(b":"))
     plausible = len(values) in query.counts and all(query.low <= value <= query.high for value in values)
     return values if plausible else None
@@ -229,6 +231,9 @@ def _values(name: str, line: bytes) -> tuple[int, ...] | None:
 
 def _agreed(name: str, answers: list[tuple[int, ...]]) -> tuple[int, ...] | None:
     """One reading from the answers to a query asked three times, or None when they contradict each other."""
+    first = answers[0]
+    if answers.count(first) == len(answers):
+        return first
     if len({len(answer) for answer in answers}) > 1:
         return None
     columns = zip(*answers, _QUERIES[name].within[: len(answers[0])], strict=True)
@@ -574,7 +579,7 @@ class Roboteq:
         """Wait no longer for the exchange under way; what it still brings belongs to nothing."""
         exchange, self._exchange = self._exchange, None
         if exchange is not None:
-            self._stale.extend(line.encode("ascii") for line in exchange.lines)
+            self._stale.extend(exchange.sent)
             self._stale_until_s = exchange.deadline_s + DEADLINE_S
         return exchange
 

@@ -22,5 +22,5 @@ def stroke_sample(message: SuspensionState, t_s: float) -> StrokeSample:
 
 def setpoint(rate_mmps: Four, engaged: bool, now_s: float) -> SuspensionSetpoint:
     """Stroke rates as the board wants them: within the spec's limits, marked with the time they were made."""
-    a, b, c, d = (min(max(rate, -RATE_MAX_MMPS), RATE_MAX_MMPS) for rate in rate_mmps)
+    a, b, c, d = [min(max(rate, -RATE_MAX_MMPS), RATE_MAX_MMPS) for rate in rate_mmps]
     return SuspensionSetpoint(int(now_s * 1000.0) & 0xFFFF, int(engaged), (a, b, c, d))
