@@ -315,12 +315,12 @@ class Daemon:
             faults += self._resets
             if faults:
                 self.latched = tuple(faults)
-        boards_open = any([port.link is not None for port in self.boards.ports.values()])
-        drives_open = all([drive.connection.port is not None for drive in self.drives])
+        boards_open = any(port.link is not None for port in self.boards.ports.values())
+        drives_open = all(drive.connection.port is not None for drive in self.drives)
         complete = self.boards.complete
         return Facts(
             missing=not (boards_open and drives_open) or (is_armed and not complete),
-            unknown=not (complete and all([drive.known for drive in self.drives])),
+            unknown=not (complete and all(drive.known for drive in self.drives)),
             estop=self._estop_pressed(),
             fault=bool(faults),
             armed=self._all_armed(),
@@ -341,13 +341,13 @@ class Daemon:
     def _estop_pressed(self) -> bool:
         if self._board_state is BoardState.ESTOP:
             return True
-        return any([drive.driver.flags["FF"] & DRIVE_ESTOP for drive in self.drives])
+        return any(drive.driver.flags["FF"] & DRIVE_ESTOP for drive in self.drives)
 
     def _all_armed(self) -> bool:
         """Whether every device that moves something is armed, and the suspension saw neutral commands."""
         if self._board_state not in ENGAGED_STATES or self._strokes is None:
             return False
-        return bool(self._strokes.flags & NEUTRAL_SEEN) and all([drive.running for drive in self.drives])
+        return bool(self._strokes.flags & NEUTRAL_SEEN) and all(drive.running for drive in self.drives)
 
     def _to(self, state: DaemonState, reason: str) -> None:
         """Enter a state and do what it means."""
