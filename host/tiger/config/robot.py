@@ -169,6 +169,7 @@ class StabilityConfig(_Section):
     load_sigma_kg: Positive
     load_sigma_m: Positive
     smooth_s: Positive
+    late_s: NonNegative
     upright_s: Positive
     slope_s: Positive
     warning_margin: Annotated[float, Field(gt=0.0, lt=1.0, strict=True)]

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 SPEED, CURVATURE, ACCELERATION = 1, 2, 4
 """Bits of `Stability.limited`."""
 
+STOP = (0.0, 0.0)
+
 LEAST_RIGIDITY = 0.1
 """Of 1 - c g_n: a load so high that the springs hardly carry it upright."""
 
@@ -117,13 +119,14 @@ class Footing:
 
     def used(self, heading_rad: float = 0.0) -> float:
         """Share of the way to the nearest edge that is used at rest, after turning left by an angle."""
-        c, s = cos(heading_rad), sin(heading_rad)
         (x, y), (offset_x, offset_y) = self.slope_mps2, self.offset_mps2
+        c, s = cos(heading_rad), sin(heading_rad)
         along, across = c * x + s * y + offset_x, c * y - s * x + offset_y
         return max(abs(along) / self.to_edge_mps2[0], abs(across) / self.to_edge_mps2[1])
 
 
-_OUTWARD = {LEFT: (1, 1.0), RIGHT: (1, -1.0), FRONT: (0, 1.0), REAR: (0, -1.0)}
+_OUTWARD = ((1, 1.0), (1, -1.0), (0, 1.0), (0, -1.0))
+"""Axis and sign of each edge: LEFT, RIGHT, FRONT, REAR."""
 
 
 def footing(stance: Stance, plane_rad: tuple[float, float], friction: float) -> Footing:
@@ -162,57 +165,56 @@ def step(
 ) -> tuple[LimiterState, Allowed]:
     """Limit a command (speed in m/s, yaw rate in rad/s) of a robot that moves at `moving_mps`."""
     share = design.load_transfer_max
-    asked_speed, asked_yaw = command
     speed, yaw = command
     limited, cause = 0, LimitCause.NOTHING
+    to_front, to_rear = ground.bound(FRONT, share), ground.bound(REAR, share)
+    hardest = min(to_front, to_rear)
 
     # The turn: a = v r, to the left when positive, presses on the right edge, and the other way round.
     turn = speed * yaw
-    outer = RIGHT if turn > 0.0 else LEFT
-    least = design.crawl_mps * design.crawl_radps
-    most = max(ground.bound(outer, share), least)
-    would_tip = abs(turn) > max(ground.bound(outer, 1.0), least)
-    if abs(turn) > most:
-        path = sqrt(most / abs(turn))
-        speed, yaw = speed * path, yaw * path
-        limited, cause = SPEED, LimitCause.TURN
-    fastest = max(abs(moving_mps), abs(state.speed_mps))
-    if fastest * abs(yaw) > most:
-        yaw = copysign(most / fastest, yaw)
-        limited, cause = limited | CURVATURE, LimitCause.TURN
+    would_tip = False
+    if turn:
+        outer, turn = (RIGHT, turn) if turn > 0.0 else (LEFT, -turn)
+        least = design.crawl_mps * design.crawl_radps
+        most = max(ground.bound(outer, share), least)
+        would_tip = turn > most and turn > ground.bound(outer, 1.0)
+        if turn > most:
+            path = sqrt(most / turn)
+            speed, yaw = speed * path, yaw * path
+            limited, cause = SPEED, LimitCause.TURN
+        fastest = max(abs(moving_mps), abs(state.speed_mps))
+        if fastest * abs(yaw) > most:
+            yaw = copysign(most / fastest, yaw)
+            limited, cause = limited | CURVATURE, LimitCause.TURN
 
     # The slope: stop before it takes too much, go back, turn only where it takes less.
-    brake = max(min(ground.bound(FRONT, share), ground.bound(REAR, share)), design.brake_min_mps2)
     used, per_m = ground.used(), state.per_m
-    travel = moving_mps * dt
     if state.used and abs(moving_mps) > 0.5 * design.crawl_mps and state.used < share:
-        per_m += (copysign(used - state.used, (used - state.used) * moving_mps) - abs(travel) * per_m) / (
-            design.trend_m
-        )
+        more, travel = used - state.used, moving_mps * dt
+        per_m += ((more if moving_mps > 0.0 else -more) - abs(travel) * per_m) / design.trend_m
     growth = per_m if speed > 0.0 else -per_m
     ahead = used + max(0.0, growth) * abs(moving_mps) * design.foresight_s
+    slowest = inf
     if ahead > share:
         slowest = 0.0 if growth > 0.0 else design.crawl_mps
     elif growth > 0.0:  # with half the braking it stops before the bound
+        brake = max(hardest, design.brake_min_mps2)
         slowest = sqrt(min(design.acceleration_mps2, brake) * (share - ahead) / growth)
-    else:
-        slowest = inf
     if abs(speed) > slowest:
         speed, limited, cause = copysign(slowest, speed), limited | SPEED, LimitCause.SLOPE
-    turned = _turn(design, ground, used, yaw)
+    turned = _turn(design, ground, used, yaw) if yaw else yaw
     if turned != yaw:
         yaw, limited, cause = turned, limited | CURVATURE, LimitCause.SLOPE
 
     if tripped and (speed or yaw):
         speed, yaw, limited, cause = 0.0, 0.0, limited | SPEED, LimitCause.TRIP
 
-    slewed = _slew(design, state.speed_mps, speed, ground, share, dt)
-    forced = design.acceleration_mps2 > min(ground.bound(FRONT, share), ground.bound(REAR, share))
-    if forced and slewed != speed:
+    slewed = _slew(design, state.speed_mps, speed, to_front, to_rear, dt)
+    if slewed != speed and design.acceleration_mps2 > hardest:
         speed, limited = slewed, limited | ACCELERATION
         cause = cause or LimitCause.BRAKING
     known = LimiterState(slewed, used, per_m)
-    if not asked_speed and not asked_yaw and not limited & ACCELERATION:
+    if command == STOP and not limited & ACCELERATION:
         limited, cause = 0, LimitCause.NOTHING
     return known, Allowed(speed, yaw, limited, cause, would_tip or used > 1.0)
 
@@ -220,9 +222,8 @@ def step(
 def _turn(design: LimiterDesign, ground: Footing, used: float, yaw: float) -> float:
     """The part of a yaw rate that keeps the heading within what the slope allows."""
     share = design.load_transfer_max
-    if not yaw or hypot(*ground.slope_mps2) + max(map(abs, ground.offset_mps2)) < share * min(
-        ground.to_edge_mps2
-    ):
+    (x, y), (offset_x, offset_y) = ground.slope_mps2, ground.offset_mps2
+    if hypot(x, y) + max(abs(offset_x), abs(offset_y)) < share * min(ground.to_edge_mps2):
         return yaw  # no heading is in question
     after = ground.used(yaw * design.foresight_s)
     if after <= max(share, used):
@@ -232,10 +233,11 @@ def _turn(design: LimiterDesign, ground: Footing, used: float, yaw: float) -> fl
 
 
 def _slew(
-    design: LimiterDesign, now: float, wanted: float, ground: Footing, share: float, dt: float
+    design: LimiterDesign, now: float, wanted: float, to_front: float, to_rear: float, dt: float
 ) -> float:
     """Bring a speed to `wanted` within the accelerations allowed forward (rear edge) and backward (front)."""
-    most = design.acceleration_mps2
-    forward = max(design.brake_min_mps2, min(most, ground.bound(REAR, share)))
-    backward = max(design.brake_min_mps2, min(most, ground.bound(FRONT, share)))
-    return min(now + forward * dt, max(now - backward * dt, wanted))
+    if now == wanted:
+        return now
+    most, least = design.acceleration_mps2, design.brake_min_mps2
+    faster, slower = max(least, min(most, to_rear)), max(least, min(most, to_front))
+    return min(now + faster * dt, max(now - slower * dt, wanted))

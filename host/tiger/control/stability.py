@@ -9,7 +9,7 @@ the present strokes. `stability.limiter` = "log" does all of it but leaves the c
 from __future__ import annotations
 
 from dataclasses import field
-from math import atan2, exp, inf, sqrt
+from math import atan2, hypot, inf
 from typing import TYPE_CHECKING
 
 from tiger.control import motion_limits, tip_over, trip
@@ -25,16 +25,24 @@ from tiger.record import LimitCause, Stability
 if TYPE_CHECKING:
     from tiger.config.robot import RobotConfig, StabilityConfig
     from tiger.control.drive import DriveDesign
-    from tiger.control.tip_over import Contacts
     from tiger.models.eam import LiftCurve
     from tiger.record import Command, Estimate, Four, ImuSample, Inputs, Loads, Three
 
 STANCE_PERIOD_S = 0.1
 """Loads and strokes change slowly: so often the stance follows them."""
 
+JUDGED_AFTER_S = 0.015
+"""Margins and limits are worked out with every other sample: 50 Hz; a blow or a new command at once."""
+
 LONGEST_SAMPLE_S = 0.05
+FAR_RAD, SLOW_RADPS = 1.0, 0.5
 NEVER_S = 1e3
+CREEPING_MPS = 0.05
+"""Below, rolling resistance has no direction."""
+Two = tuple[float, float]
+Felt = tuple[float, float, float, float, float]
 STANDING: Three = (0.0, 0.0, GRAVITY_MPS2)
+_AT_REST: Felt = (0.0, 0.0, GRAVITY_MPS2, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +64,9 @@ class StabilityDesign:
     rear_m: float
     inertia_kgm2: tuple[float, float]
     """Roll and pitch, of the body about its COM."""
+    spin_inertia_kgm2: float
+    """Of all wheels about their axles."""
+    rolling_resistance: float
     spring_npm: float
     """Of one wheel's spring and tyre in series."""
     imu_m: Three
@@ -63,28 +74,44 @@ class StabilityDesign:
 
 
 @dataclass(frozen=True, slots=True)
-class StabilityState:
-    """What a tick leaves to the next."""
+class Motion:
+    """What the samples of the IMU add up to, in body axes."""
+
+    imu_t_s: float = -inf
+    felt: Felt = _AT_REST
+    """Specific force at the COM (m/s2), and angular acceleration in roll and pitch (rad/s2), smoothed ..."""
+    felt_before: Felt = _AT_REST
+    """... and smoothed once more: what it has changed by, tells what it is by now."""
+    rate_radps: Two = (0.0, 0.0)
+    upright_mps2: Three = STANDING
+    """The reaction to gravity."""
+    speed_mps: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What was made of it last."""
 
     imu_t_s: float = -inf
     stance_due_s: float = -inf
     stance: Stance = field(default_factory=Stance)
-    force_mps2: Three = STANDING
-    """Specific force at the COM, smoothed."""
-    turn_radps2: tuple[float, float] = (0.0, 0.0)
-    rate_radps: tuple[float, float] = (0.0, 0.0)
-    upright_mps2: Three = STANDING
-    """The reaction to gravity in body axes."""
-    speed_mps: float = 0.0
-    plane_rad: tuple[float, float] = (0.0, 0.0)
+    plane_rad: Two = (0.0, 0.0)
     """Roll and pitch of the ground under the wheels."""
-    trip: TripState = field(default_factory=TripState)
     limiter: LimiterState = field(default_factory=LimiterState)
     warning_hold_s: float = 0.0
-    asked: tuple[float, float] = (0.0, 0.0)
+    asked: Two = (0.0, 0.0)
     """Speed and yaw rate last looked at."""
-    allowed: tuple[float, float] = (0.0, 0.0)
+    allowed: Two = (0.0, 0.0)
     shown: Stability = field(default_factory=Stability)
+
+
+@dataclass(frozen=True, slots=True)
+class StabilityState:
+    """What a tick leaves to the next."""
+
+    motion: Motion = field(default_factory=Motion)
+    trip: TripState = field(default_factory=TripState)
+    judgement: Judgement = field(default_factory=Judgement)
 
 
 def design_stability(robot: RobotConfig) -> StabilityDesign:
@@ -113,6 +140,8 @@ def design_stability(robot: RobotConfig) -> StabilityDesign:
         inertia_kgm2=(body.roll_inertia_kgm2, body.pitch_inertia_kgm2),
         spring_npm=1.0 / (1.0 / spring + 1.0 / vehicle.tire.vertical_stiffness_npm),
         imu_m=vehicle.imu_offset_m,
+        spin_inertia_kgm2=4.0 * vehicle.tire.spin_inertia_kgm2,
+        rolling_resistance=vehicle.tire.rolling_resistance,
     )
 
 
@@ -126,12 +155,30 @@ def step(
 ) -> tuple[StabilityState, Stability, Command]:
     """Advance by `dt` seconds; return the command as far as it is safe. `estimate` has odometry and loads."""
     imu, asked = inputs.imu, (command.speed_mps, command.yaw_rate_radps)
-    if imu is not None and (imu.t_s > state.imu_t_s or asked != state.asked):
-        state = _sampled(design, state, asked, imu, inputs, estimate)
-    if design.config.limiter != "on" or state.allowed == asked:
-        return state, state.shown, command
-    speed, yaw = state.allowed
-    return state, state.shown, replace(command, speed_mps=speed, yaw_rate_radps=yaw)
+    motion, tripping, judged = state.motion, state.trip, state.judgement
+    if imu is None:
+        return state, judged.shown, command
+    was_tripped = tripping.hold_s > 0.0
+    if imu.t_s > motion.imu_t_s:
+        motion, tripping = _sampled(design, motion, tripping, judged, imu, estimate.odometry.speed_mps)
+        state = StabilityState(motion, tripping, judged)
+    if (
+        motion.imu_t_s - judged.imu_t_s > JUDGED_AFTER_S
+        or (asked != judged.asked and _is_new(design, judged.asked, asked))
+        or (tripping.hold_s > 0.0) is not was_tripped
+    ):
+        judged = _judged(design, judged, motion, tripping, asked, inputs, estimate)
+        state = StabilityState(motion, tripping, judged)
+    if not judged.shown.limited or design.config.limiter != "on":
+        return state, judged.shown, command
+    speed, yaw = judged.allowed
+    return state, judged.shown, replace(command, speed_mps=speed, yaw_rate_radps=yaw)
+
+
+def _is_new(design: StabilityDesign, judged: Two, asked: Two) -> bool:
+    """Whether a command is so far from the one judged last that it cannot wait for the next judgement."""
+    limiter = design.limiter
+    return abs(asked[0] - judged[0]) > limiter.crawl_mps or abs(asked[1] - judged[1]) > limiter.crawl_radps
 
 
 def reason(stability: Stability) -> str:
@@ -155,76 +202,88 @@ _WHY = {
 
 
 def _sampled(
+    design: StabilityDesign, old: Motion, tripping: TripState, judged: Judgement, imu: ImuSample, speed: float
+) -> tuple[Motion, TripState]:
+    """Take a new sample of the IMU."""
+    config, rate, turn = design.config, imu.rate_radps, imu.angular_accel_radps2
+    force = x, y, z = tip_over.at_com(judged.stance, _specific_force(imu), rate, turn)
+    if old.imu_t_s == -inf:
+        now = (x, y, z, turn[0], turn[1])
+        return Motion(imu.t_s, now, now, rate[:2], force, speed), tripping
+    dt = min(LONGEST_SAMPLE_S, imu.t_s - old.imu_t_s)
+    wanted = judged.allowed[0] if config.limiter == "on" else judged.asked[0]
+    tripping = trip.step(
+        config, tripping, x, y - speed * rate[2], wanted, design.limiter.acceleration_mps2, dt
+    )
+    trust = 0.0 if tripping.hold_s else dt / config.upright_s
+    upright = _upright(old.upright_mps2, force, rate, speed, speed - old.speed_mps, trust, dt)
+    new = dt / (config.smooth_s + dt)
+    ax, ay, az, a_roll, a_pitch = old.felt
+    bx, by, bz, b_roll, b_pitch = old.felt_before
+    ax += new * (x - ax)
+    ay += new * (y - ay)
+    az += new * (z - az)
+    a_roll += new * (turn[0] - a_roll)
+    a_pitch += new * (turn[1] - a_pitch)
+    roll_rate, pitch_rate = old.rate_radps
+    return Motion(
+        imu.t_s,
+        (ax, ay, az, a_roll, a_pitch),
+        (
+            *(bx + new * (ax - bx), by + new * (ay - by), bz + new * (az - bz)),
+            *(b_roll + new * (a_roll - b_roll), b_pitch + new * (a_pitch - b_pitch)),
+        ),
+        (roll_rate + new * (rate[0] - roll_rate), pitch_rate + new * (rate[1] - pitch_rate)),
+        upright,
+        speed,
+    ), tripping
+
+
+def _judged(
     design: StabilityDesign,
-    state: StabilityState,
-    asked: tuple[float, float],
-    imu: ImuSample,
+    old: Judgement,
+    motion: Motion,
+    tripping: TripState,
+    asked: Two,
     inputs: Inputs,
     estimate: Estimate,
-) -> StabilityState:
-    """Take a new sample of the IMU, or look at a new command with the one there is."""
-    config, is_new = design.config, imu.t_s > state.imu_t_s
-    dt = min(LONGEST_SAMPLE_S, imu.t_s - state.imu_t_s)
-    stance, due_s = state.stance, state.stance_due_s
+) -> Judgement:
+    """Look at the motion and at a command."""
+    config = design.config
+    dt = min(LONGEST_SAMPLE_S, motion.imu_t_s - old.imu_t_s)
+    stance, due_s = old.stance, old.stance_due_s
     if inputs.now_s >= due_s and inputs.strokes is not None:
         stance = stance_of(design, estimate.loads, inputs.strokes.stroke_mm)
         due_s = inputs.now_s + STANCE_PERIOD_S
-    force, turn, rate, plane, tripping = (
-        *(state.force_mps2, state.turn_radps2, state.rate_radps, state.plane_rad, state.trip),
-    )
-    upright, speed = state.upright_mps2, state.speed_mps
-    if is_new:
-        felt = tip_over.at_com(stance, _felt(imu), imu.rate_radps, imu.angular_accel_radps2)
-        speed = estimate.odometry.speed_mps
-        across, driving = felt[1] - speed * imu.rate_radps[2], design.limiter.acceleration_mps2
-        tripping = trip.step(config, tripping, felt[0], across, driving, dt)
-        if state.imu_t_s == -inf:
-            upright = felt
-        else:
-            trust = 0.0 if tripping.hold_s else dt / config.upright_s
-            upright = _upright(upright, felt, imu.rate_radps, speed, speed - state.speed_mps, trust, dt)
-        smooth = 1.0 - exp(-dt / config.smooth_s)
-        force = _towards3(force, felt, smooth)
-        turn = _towards2(turn, imu.angular_accel_radps2[:2], smooth)
-        rate = _towards2(rate, imu.rate_radps[:2], smooth)
-    by_springs, by_strokes = tip_over.spring_lean(stance, force), stance.strokes_rad
-    lean = by_springs[0] + by_strokes[0], by_springs[1] + by_strokes[1]
-    if is_new:
-        roll, pitch = atan2(upright[1], upright[2]), atan2(-upright[0], upright[2])
-        ground = roll - lean[0], pitch - lean[1]
-        plane = _towards2(plane, ground, 1.0 - exp(-dt / config.slope_s))
-    shown = _margins(stance, tip_over.contacts(stance, lean), force, turn, rate, upright)
-    limiter, allowed = state.limiter, Allowed(*asked)
+    upright, (by_strokes, pitched) = motion.upright_mps2, stance.strokes_rad
+    force, turn = _by_now(config, motion)
+    by_springs, dived = tip_over.spring_lean(stance, force)
+    lean = by_springs + by_strokes, dived + pitched
+    ground_roll, ground_pitch = old.plane_rad
+    new = dt / (config.slope_s + dt)
+    ground_roll += new * (atan2(upright[1], upright[2]) - lean[0] - ground_roll)
+    ground_pitch += new * (atan2(-upright[0], upright[2]) - lean[1] - ground_pitch)
+    plane, is_tripped = (ground_roll, ground_pitch), tripping.hold_s > 0.0
+    margin, edge, soonest, transfers = _margins(stance, lean, force, turn, motion)
+    limiter, allowed = old.limiter, Allowed(*asked)
     if config.limiter != "off":
         footing = motion_limits.footing(stance, plane, config.friction_max)
         limiter, allowed = motion_limits.step(
-            *(design.limiter, limiter, footing, asked, speed, tripping.hold_s > 0.0),
-            dt if is_new else 0.0,
+            design.limiter, limiter, footing, asked, motion.speed_mps, is_tripped, dt
         )
-    near = shown.margin < config.warning_margin or shown.time_to_balance_s < config.warning_time_s
-    hold = config.warning_hold_s if near or allowed.would_tip else max(0.0, state.warning_hold_s - dt)
-    return StabilityState(
-        imu_t_s=imu.t_s,
-        stance_due_s=due_s,
-        stance=stance,
-        force_mps2=force,
-        turn_radps2=turn,
-        rate_radps=rate,
-        upright_mps2=upright,
-        speed_mps=speed,
-        plane_rad=plane,
-        trip=tripping,
-        limiter=limiter,
-        warning_hold_s=hold,
-        asked=asked,
-        allowed=(allowed.speed_mps, allowed.yaw_rate_radps),
-        shown=replace(
-            shown,
-            warning=hold > 0.0,
-            tripped=tripping.hold_s > 0.0,
-            limited=allowed.limited,
-            cause=allowed.cause,
-        ),
+    near = margin < config.warning_margin or soonest < config.warning_time_s
+    hold = config.warning_hold_s if near or allowed.would_tip else max(0.0, old.warning_hold_s - dt)
+    limited, cause = allowed.limited, allowed.cause
+    return Judgement(
+        motion.imu_t_s,
+        due_s,
+        stance,
+        plane,
+        limiter,
+        hold,
+        asked,
+        (allowed.speed_mps, allowed.yaw_rate_radps),
+        Stability(margin, edge, *transfers, soonest, hold > 0.0, is_tripped, limited, cause),
     )
 
 
@@ -276,6 +335,8 @@ def stance_of(design: StabilityDesign, loads: Loads, stroke_mm: Four) -> Stance:
         roll_sway_s2pm=mass * height / (4.0 * design.spring_npm * wide * wide),
         pitch_sway_s2pm=mass * height / (4.0 * design.spring_npm * long * long),
         wheel_radius_m=design.wheel_height_m,
+        spin_m=design.spin_inertia_kgm2 / (mass * design.wheel_height_m),
+        rolling_m=design.rolling_resistance * design.wheel_height_m,
         imu_m=(imu_x - x, imu_y - y, imu_z + ride - height),
         strokes_rad=(
             (fl - fr + rl - rr) / (2.0 * (left + right)),
@@ -292,42 +353,48 @@ def _trust(sigma: float, trusted: float) -> float:
 # ---- margins --------------------------------------------------
 
 
+def _by_now(config: StabilityConfig, motion: Motion) -> tuple[Three, Two]:
+    """Specific force and angular acceleration, `late_s` further on the way that they are going."""
+    more = config.late_s / config.smooth_s
+    x, y, z, roll, pitch = motion.felt
+    bx, by, bz, b_roll, b_pitch = motion.felt_before
+    force = (x + more * (x - bx), y + more * (y - by), z + more * (z - bz))
+    return force, (roll + more * (roll - b_roll), pitch + more * (pitch - b_pitch))
+
+
 def _margins(
-    stance: Stance,
-    places: Contacts,
-    force: Three,
-    turn: tuple[float, float],
-    rate: tuple[float, float],
-    upright: Three,
-) -> Stability:
-    """Margin, load transfer and time to the balance point, of the edge that is nearest."""
-    lateral, longitudinal = tip_over.load_transfer(stance, places, force, turn)
-    pushes, moments = tip_over.outward(stance, force, turn)
-    downhill = (-upright[1], upright[1], -upright[0], upright[0])
-    towards = (-rate[0], rate[0], rate[1], -rate[1])
+    stance: Stance, lean: Two, force: Three, turn: Two, motion: Motion
+) -> tuple[float, int, float, Two]:
+    """Margin and edge that is nearest, time to the balance point, and the load transfers."""
+    (roll_rate, pitch_rate), gravity = motion.rate_radps, motion.upright_mps2
+    places = tip_over.contacts(stance, lean)
+    roll, pitch = stance.roll_gyration_m2 * turn[0], stance.pitch_gyration_m2 * turn[1]
+    pitch += stance.spin_m * (force[0] - gravity[0])
+    pitch += stance.rolling_m * force[2] * motion.speed_mps / (abs(motion.speed_mps) + CREEPING_MPS)
+    transfers = tip_over.load_transfer(stance, places, force, (roll, pitch))
     least, edge, soonest = inf, 0, NEVER_S
-    for k, (reach, depth) in enumerate(places):
-        net, energy = tip_over.force_angle(reach, depth, pushes[k], moments[k], force[2])
+    for k, (push, moment, downhill, towards, gyration) in enumerate(
+        (
+            (-force[1], roll, -gravity[1], -roll_rate, stance.roll_tip_gyration_m2),
+            (force[1], -roll, gravity[1], roll_rate, stance.roll_tip_gyration_m2),
+            (-force[0], -pitch, -gravity[0], pitch_rate, stance.pitch_tip_gyration_m2),
+            (force[0], pitch, gravity[0], -pitch_rate, stance.pitch_tip_gyration_m2),
+        )
+    ):
+        reach, depth = places[k]
+        net, energy = tip_over.force_angle(reach, depth, push, moment, force[2])
         if energy < least:
             least, edge = energy, k
-        if net > 1.0 and towards[k] < 0.5:
-            continue  # far, and not coming near
-        still = atan2(reach, depth) - atan2(downhill[k], upright[2])
-        gyration = stance.roll_tip_gyration_m2 if k < 2 else stance.pitch_tip_gyration_m2
-        lever = sqrt(reach * reach + depth * depth)
-        soonest = min(soonest, tip_over.time_to_balance(lever, gyration, still, net, towards[k]))
-        if towards[k] > 0.0 and net > 0.0:
-            soonest = min(soonest, still / towards[k])  # the ground turns it over at this rate
-    return Stability(
-        margin=least / stance.least_energy,
-        edge=edge,
-        lateral_load_transfer=lateral,
-        longitudinal_load_transfer=longitudinal,
-        time_to_balance_s=soonest,
-    )
+        if towards <= 0.0 < net or (net > FAR_RAD and towards < SLOW_RADPS):
+            continue  # it falls back, or is far and slow
+        still = tip_over.angle(reach, depth, downhill, gravity[2])
+        soonest = min(soonest, tip_over.time_to_balance(hypot(reach, depth), gyration, still, net, towards))
+        if towards > 0.0 < net:
+            soonest = min(soonest, still / towards)  # the ground turns it over at this rate
+    return least / stance.least_energy, edge, soonest, transfers
 
 
-def _felt(imu: ImuSample) -> Three:
+def _specific_force(imu: ImuSample) -> Three:
     """Specific force at the IMU, calibrated: its linear acceleration and what it took away (m/s2)."""
     w, x, y, z = imu.quaternion
     ahead, left, up = imu.linear_accel_mps2
@@ -357,16 +424,4 @@ def _upright(
         keep * (x - dt * (q * z - r * y)) + ahead,
         keep * (y - dt * (r * x - p * z)) + side,
         keep * (z - dt * (p * y - q * x)) + up,
-    )
-
-
-def _towards2(old: tuple[float, float], new: tuple[float, ...], gain: float) -> tuple[float, float]:
-    return old[0] + gain * (new[0] - old[0]), old[1] + gain * (new[1] - old[1])
-
-
-def _towards3(old: Three, new: tuple[float, ...], gain: float) -> Three:
-    return (
-        old[0] + gain * (new[0] - old[0]),
-        old[1] + gain * (new[1] - old[1]),
-        old[2] + gain * (new[2] - old[2]),
     )

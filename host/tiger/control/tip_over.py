@@ -17,7 +17,7 @@ are left, right, front, rear. Forces are per unit mass (m/s2), energies per unit
 
 from __future__ import annotations
 
-from math import atan2, copysign, cos, hypot, inf, sin, sqrt, tan
+from math import atan2, cos, hypot, inf, sin, sqrt, tan
 from math import log as ln
 from typing import TYPE_CHECKING
 
@@ -53,6 +53,10 @@ class Stance:
     """Mass times height over the springs' stiffness against roll: the lean for each m/s2 along y."""
     pitch_sway_s2pm: float = 0.0
     wheel_radius_m: float = 0.0
+    spin_m: float = 0.0
+    """Spin inertia of the wheels over mass and radius: their share in the pitch moment for each m/s2."""
+    rolling_m: float = 0.0
+    """How far the ground carries a rolling wheel ahead of its centre."""
     imu_m: Three = (0.0, 0.0, 0.0)
     """The IMU's place from the COM."""
     strokes_rad: tuple[float, float] = (0.0, 0.0)
@@ -106,49 +110,52 @@ def spring_lean(stance: Stance, force: Three) -> tuple[float, float]:
     # K lean = m (h f - r g lean), and no moment is larger than all weight on one side makes it.
     roll_sway, pitch_sway = stance.roll_sway_s2pm, stance.pitch_sway_s2pm
     own = radius / height * GRAVITY_MPS2
-    most_y, most_x = (0.5 * GRAVITY_MPS2 * (a + b) / height for a, b in ((left, right), (front, rear)))
+    per_m = 0.5 * GRAVITY_MPS2 / height
+    most_y, most_x = per_m * (left + right), per_m * (front + rear)
     push_y = min(most_y, max(-most_y, force[1] / (1.0 + own * roll_sway)))
     push_x = min(most_x, max(-most_x, force[0] / (1.0 + own * pitch_sway)))
     return push_y * roll_sway, -push_x * pitch_sway
 
 
 def load_transfer(
-    stance: Stance, places: Contacts, force: Three, turn: tuple[float, float]
+    stance: Stance, places: Contacts, force: Three, moment: tuple[float, float]
 ) -> tuple[float, float]:
     """Return (left - right)/all and (front - rear)/all of the wheel loads, from the moments about the COM.
 
     The ground's force acts somewhere on the line between the contacts of two sides: sum (r_i x F_i) = I alpha
-    says where. At +-1 wheels are in the air, so it ends there. `force` (m/s2, at the COM) and `turn` (rad/s2,
-    roll and pitch) are in body axes.
+    says where. At +-1 wheels are in the air, so it ends there. `force` (m/s2, at the COM) and `moment` (I
+    alpha over mass, m2/s2, roll and pitch) are in body axes.
     """
     (left, below_left), (right, below_right), (front, below_front), (rear, below_rear) = places
     ahead, side, up = force
     at_left, at_right = left * up + below_left * side, below_right * side - right * up
-    lateral = 1.0 - 2.0 * (stance.roll_gyration_m2 * turn[0] - at_left) / (at_right - at_left)
+    lateral = 1.0 - 2.0 * (moment[0] - at_left) / (at_right - at_left)
     at_front, at_rear = -front * up - below_front * ahead, rear * up - below_rear * ahead
-    longitudinal = 1.0 - 2.0 * (stance.pitch_gyration_m2 * turn[1] - at_front) / (at_rear - at_front)
+    longitudinal = 1.0 - 2.0 * (moment[1] - at_front) / (at_rear - at_front)
     return min(1.0, max(-1.0, lateral)), min(1.0, max(-1.0, longitudinal))
 
 
-def outward(stance: Stance, force: Three, turn: tuple[float, float]) -> tuple[Edges, Edges]:
-    """Push over each edge: net force outward (m/s2), and net moment over the mass (m2/s2)."""
-    roll, pitch = stance.roll_gyration_m2 * turn[0], stance.pitch_gyration_m2 * turn[1]
-    return (-force[1], force[1], -force[0], force[0]), (roll, -roll, -pitch, pitch)
+def angle(reach: float, depth: float, push: float, weight: float) -> float:
+    """Angle (rad) that a force leaves to an edge `reach` outward of the COM and `depth` below.
+
+    atan2(reach, depth) - atan2(push, weight), `push` and `weight` the force outward and down.
+    """
+    return atan2(reach * weight - depth * push, reach * push + depth * weight)
 
 
 def force_angle(reach: float, depth: float, push: float, moment: float, weight: float) -> tuple[float, float]:
     """Angle (rad) and signed energy (m2/s2) that are left to one edge.
 
     The edge lies `reach` outward of the COM and `depth` below; `push` and `weight` are the net force outward
-    and down, and the net moment adds a force at right angles to the lever (Papadopoulos & Rey, eq. 11).
+    and down, and the net `moment` over the mass (m2/s2) adds a force at right angles to the lever
+    (Papadopoulos & Rey, eq. 11).
     """
     lever2 = reach * reach + depth * depth
     push += moment * depth / lever2
     weight -= moment * reach / lever2
-    angle = atan2(reach, depth) - atan2(push, weight)
-    lever, net = sqrt(lever2), hypot(push, weight)
-    lifted = lever * net - (push * reach + weight * depth)  # |f| l (1 - cos theta)
-    return angle, copysign(lifted, angle)
+    across, along = reach * weight - depth * push, reach * push + depth * weight
+    lifted = sqrt(lever2 * (push * push + weight * weight)) - along  # |f| l (1 - cos theta)
+    return atan2(across, along), lifted if across > 0.0 else -lifted
 
 
 def time_to_balance(
@@ -166,6 +173,8 @@ def time_to_balance(
     speed = sqrt(GRAVITY_MPS2 * lever_m / (lever_m * lever_m + gyration_m2))
     push = upright_rad - net_rad
     drift = rate_radps / speed
+    if 0.0 < net_rad > drift and push >= 0.0:
+        return inf  # it falls back before it gets to psi_a, and that is still inside
     # With e = exp(w t): (net - drift)/2 e + push + (net + drift)/2 / e = 0
     grows, fades = 0.5 * (net_rad - drift), 0.5 * (net_rad + drift)
     if abs(grows) < 1e-12:

@@ -53,7 +53,7 @@ def drive(
     state = state or StabilityState()
     shown, allowed = Stability(), command
     strokes = StrokeSample(0.0, MID, STILL, (0, 0, 0, 0), 0)
-    start = max(state.imu_t_s, 0.0)
+    start = max(state.motion.imu_t_s, 0.0)
     for tick in range(1, round(seconds * 200) + 1):
         now = start + tick * 0.005
         imu = ImuSample(start + math.ceil(tick / 2) * 0.01, LEVEL, (0.0, 0.0, yaw_rate), (0.0,) * 3, accel, 0)
@@ -89,9 +89,9 @@ def test_a_new_command_is_limited_at_once_between_two_samples() -> None:
     design = design_stability(tall("on"))
     state, _, _ = drive(design, Command())
     strokes = StrokeSample(0.0, MID, STILL, (0, 0, 0, 0), 0)
-    imu = ImuSample(state.imu_t_s, LEVEL, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3, 0)
+    imu = ImuSample(state.motion.imu_t_s, LEVEL, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3, 0)
     command = Command(speed_mps=6.0, yaw_rate_radps=2.0)
-    inputs = Inputs(now_s=state.imu_t_s, armed=True, command=command, strokes=strokes, imu=imu)
+    inputs = Inputs(now_s=state.motion.imu_t_s, armed=True, command=command, strokes=strokes, imu=imu)
     _, _, allowed = stability.step(design, state, command, inputs, Estimate(ready=True), 0.005)
     assert allowed.speed_mps * allowed.yaw_rate_radps < 12.0 * 0.7
 
@@ -101,8 +101,8 @@ def test_a_long_turn_is_not_taken_for_a_slope() -> None:
     design = design_stability(ROBOT)
     state, _, _ = drive(design, Command())
     state, shown, _ = drive(design, Command(), state, 10.0, accel=(0.0, 3.0, 0.0), yaw_rate=1.0, speed=3.0)
-    assert abs(math.degrees(math.atan2(state.upright_mps2[1], state.upright_mps2[2]))) < 1.0
-    assert shown.lateral_load_transfer == pytest.approx(-3.0 * state.stance.height_m / G / 0.6, rel=0.1)
+    assert abs(math.degrees(math.atan2(state.motion.upright_mps2[1], state.motion.upright_mps2[2]))) < 1.0
+    assert shown.lateral_load_transfer == pytest.approx(-3.0 * state.judgement.stance.height_m / G / 0.6, rel=0.1)
 
 
 def test_a_payload_counts_when_it_is_known_and_never_lowers_the_com() -> None:

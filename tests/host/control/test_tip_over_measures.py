@@ -22,8 +22,8 @@ STILL = (0.0, 0.0)
 def margin(stance: Stance, force: tuple[float, float, float], edge: int) -> float:
     """Energy left to an edge, over the least at rest."""
     reach, depth = tip_over.contacts(stance, STILL)[edge]
-    pushes, moments = tip_over.outward(stance, force, STILL)
-    _, energy = tip_over.force_angle(reach, depth, pushes[edge], moments[edge], force[2])
+    push = (-force[1], force[1], -force[0], force[0])[edge]
+    _, energy = tip_over.force_angle(reach, depth, push, 0.0, force[2])
     return energy / stance.least_energy
 
 
