@@ -6,6 +6,7 @@ import random
 
 import pytest
 
+from tiger.control import motor_heat
 from tiger.protocol.messages import SCHEMA_HASH, AckStatus, Arm, BoardKind, BoardState, Fault, ParamSet
 
 CORNER = 1
@@ -235,19 +236,24 @@ def test_a_motor_that_works_beyond_its_duty_cycle_is_switched_off_and_cools(arme
     for actuator in armed.actuators:
         actuator.full_speed_mmps = 9.4
 
+    heat = motor_heat.COLD  # as the host reckons it from the duties that it is told of
+
     def run_to_and_fro(limit_s):
+        nonlocal heat
         for n in range(limit_s // 3):
             armed.rates_mmps = (0.0, 9.4 if n % 2 else -9.4, 0.0, 0.0)
             for _ in range(30):
                 armed.run_ms(100)
                 if armed.state.state == BoardState.FAULT:
                     return n * 3
+                heat = motor_heat.step(heat, armed.state.duty_permille, 0.1)
         raise AssertionError("never too hot")
 
     seconds = run_to_and_fro(180)
     assert 60 <= seconds <= 150  # a quarter of full heat: 94 s from cold
     assert armed.is_off
     assert armed.faults() == {Fault.OVERHEAT}
+    assert max(heat) == heat[CORNER] == pytest.approx(1.0, abs=0.03)
     assert armed.health().fault_detail == CORNER
     assert armed.clear_faults().status == AckStatus.STILL_PRESENT
     armed.rates_mmps = None

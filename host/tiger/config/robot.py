@@ -98,6 +98,8 @@ class LevelingConfig(_Section):
     stroke_margin_mm: Positive
     stroke_brake_per_s: Annotated[float, Field(gt=0.0, le=20.0, strict=True)]
     warp_rate_per_s: Annotated[float, Field(gt=0.0, le=10.0, strict=True)]
+    heat_slow: Annotated[float, Field(gt=0.0, lt=1.0, strict=True)]
+    heat_stop: Annotated[float, Field(gt=0.0, le=1.0, strict=True)]
     ride_stroke_mm: Positive
     max_angle_deg: Annotated[float, Field(gt=0.0, le=45.0, strict=True)]
     out_of_reach: Literal["clip", "refuse"]
@@ -108,6 +110,10 @@ class LevelingConfig(_Section):
             raise ValueError(
                 f"settle_deg = {self.settle_deg}, dead_zone_deg = {self.dead_zone_deg} and wake_deg = "
                 f"{self.wake_deg} must rise in this order, or the robot hunts: correct them"
+            )
+        if self.heat_slow >= self.heat_stop:
+            raise ValueError(
+                f"heat_slow = {self.heat_slow} must be below heat_stop = {self.heat_stop}: lower it"
             )
         if self.ride_settle_mm >= self.ride_wake_mm:
             raise ValueError(

@@ -25,6 +25,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from tiger.control.lqr import dlqr
+from tiger.control.motor_heat import FULL
 from tiger.control.reachable import Pose, Suspension, seats
 from tiger.frozen import dataclass
 from tiger.record import STILL
@@ -148,9 +149,17 @@ def design_leveling(robot: RobotConfig) -> LevelingDesign:
 
 
 def step(
-    design: LevelingDesign, state: LevelingState, target: Target | None, stroke_mm: Four, dt: float
+    design: LevelingDesign,
+    state: LevelingState,
+    target: Target | None,
+    stroke_mm: Four,
+    dt: float,
+    rate_share: Four = FULL,
 ) -> tuple[LevelingState, Leveling]:
-    """Advance by `dt`: the stroke rates that bring the body to the target, or to a stop without one."""
+    """Advance by `dt`: the stroke rates that bring the body to the target, or to a stop without one.
+
+    Each actuator moves at `rate_share` of its full rate at most (see `motor_heat`).
+    """
     suspension = design.suspension
     lift, ratio = seats(suspension, stroke_mm)
     rate = _lagged(design, state, dt)
@@ -172,7 +181,7 @@ def step(
         warping = _warping(design, target, warp_error, speed)
         pressing = _pressing(design, error, turning, abs(warping) if target.twists else 0.0)
         wanted = _feedback(design, turning, pressing, ride_error, warping, speed)
-        limits = _rate_limits(design, stroke_mm, rate)
+        limits = _rate_limits(design, stroke_mm, rate, rate_share)
         allocate = _allocate_twisting if target.twists else _allocate
         goal = allocate(suspension, wanted, ratio, limits)
     else:
@@ -347,22 +356,22 @@ def _lift_limits(ratio: Four, limits: Limits) -> tuple[Four, Four]:
     )
 
 
-def _rate_limits(design: LevelingDesign, stroke_mm: Four, rate_mmps: Four) -> Limits:
+def _rate_limits(design: LevelingDesign, stroke_mm: Four, rate_mmps: Four, share: Four) -> Limits:
     """Rates each actuator may have: its speed, or less where it must brake before the end of its range."""
     (fl, fr, rl, rr), (v_fl, v_fr, v_rl, v_rr) = stroke_mm, rate_mmps
-    lag_s = design.lag_s
+    lag_s, most = design.lag_s, design.suspension.rate_mmps
     return (
-        _rate_limit(design, fl + lag_s * v_fl),
-        _rate_limit(design, fr + lag_s * v_fr),
-        _rate_limit(design, rl + lag_s * v_rl),
-        _rate_limit(design, rr + lag_s * v_rr),
+        _rate_limit(design, fl + lag_s * v_fl, share[0] * most),
+        _rate_limit(design, fr + lag_s * v_fr, share[1] * most),
+        _rate_limit(design, rl + lag_s * v_rl, share[2] * most),
+        _rate_limit(design, rr + lag_s * v_rr, share[3] * most),
     )
 
 
-def _rate_limit(design: LevelingDesign, stroke_mm: float) -> tuple[float, float]:
+def _rate_limit(design: LevelingDesign, stroke_mm: float, most_mmps: float) -> tuple[float, float]:
     suspension, brake = design.suspension, design.config.stroke_brake_per_s
-    down = min(suspension.rate_mmps, max(0.0, brake * (stroke_mm - suspension.stroke_low_mm)))
-    up = min(suspension.rate_mmps, max(0.0, brake * (suspension.stroke_high_mm - stroke_mm)))
+    down = min(most_mmps, max(0.0, brake * (stroke_mm - suspension.stroke_low_mm)))
+    up = min(most_mmps, max(0.0, brake * (suspension.stroke_high_mm - stroke_mm)))
     return -down, up
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiger.control import attitude, balance, drive, stability, traction
+from tiger.control import attitude, balance, drive, motor_heat, stability, traction
 from tiger.control.attitude import LevelingDesign, LevelingState, Target
 from tiger.control.balance import BalanceState
 from tiger.control.drive import DriveDesign, DriveState
@@ -65,6 +65,8 @@ class ControllerState:
     """What was learned of the ground's rocking in roll and in pitch."""
     imu_t_s: float = -math.inf
     """Time of the IMU sample last used."""
+    heat: Four = motor_heat.COLD
+    """Of the actuators' motors; 1 is where mega_suspension stops the robot."""
     balance: BalanceState = field(default_factory=BalanceState)
     stability: StabilityState = field(default_factory=StabilityState)
     traction: TractionState = field(default_factory=TractionState)
@@ -96,6 +98,7 @@ def rearmed(design: ControllerDesign, state: ControllerState) -> ControllerState
         state.situation,
         ground=state.ground,
         imu_t_s=state.imu_t_s,
+        heat=state.heat,
         stability=state.stability,
     )
 
@@ -108,8 +111,11 @@ def step(
     imu_t_s = state.imu_t_s if inputs.imu is None else inputs.imu.t_s
     strokes = inputs.strokes
     if strokes is None or not estimate.ready:
-        state = ControllerState(observed, state.situation, imu_t_s=imu_t_s, stability=state.stability)
+        state = ControllerState(
+            observed, state.situation, imu_t_s=imu_t_s, heat=state.heat, stability=state.stability
+        )
         return state, Outputs(estimate=estimate, reason="not ready")
+    heat = motor_heat.step(state.heat, strokes.duty_permille, dt)
     ground = (
         learn(state.ground[0], estimate.plate_roll_rad, estimate.plate_roll_rate_radps, dt),
         learn(state.ground[1], estimate.plate_pitch_rad, estimate.plate_pitch_rate_radps, dt),
@@ -120,14 +126,17 @@ def step(
     )
     estimate = replace(estimate, stability=margins)
     if not inputs.armed:
-        state = ControllerState(observed, known, ground=ground, imu_t_s=imu_t_s, stability=steady)
+        state = ControllerState(observed, known, ground=ground, imu_t_s=imu_t_s, heat=heat, stability=steady)
         return state, Outputs(estimate=estimate, reason="not armed")
 
     contact = known.contact.contact
     balancing = _balancing(design, state.balance, command, contact, strokes.stroke_mm)
     now = _Known(estimate, ground, balancing, contact)
     target, reason = _target(design, command, now)
-    leveling, levelled = attitude.step(design.leveling, state.leveling, target, strokes.stroke_mm, dt)
+    rate_share = motor_heat.rate_share(design.robot.leveling, heat)
+    leveling, levelled = attitude.step(
+        design.leveling, state.leveling, target, strokes.stroke_mm, dt, rate_share
+    )
     driving, wheel_rpm = drive.step(design.drive, state.drive, command, inputs, dt)
     gripping, forces, wheel_rpm = traction.step(
         design.traction, state.traction, wheel_rpm, inputs, estimate, dt
@@ -136,6 +145,8 @@ def step(
     limited = stability.reason(margins)
     if limited:
         reason = f"{reason}; {limited}"
+    if rate_share != motor_heat.FULL:
+        reason = f"{reason}; actuators are hot and move slower"
     outputs = Outputs(
         stroke_rate_mmps=levelled.command_mmps,
         wheel_rpm=wheel_rpm,
@@ -154,6 +165,7 @@ def step(
         drive=driving,
         ground=ground,
         imu_t_s=imu_t_s,
+        heat=heat,
         balance=balancing,
         stability=steady,
         traction=gripping,
