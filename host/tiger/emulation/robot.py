@@ -189,10 +189,10 @@ class EmulatedRobot:
             if data:
                 drive.receive(data)
         wheel_rpm: list[float] = []
-        for _ in range(steps):
-            wheel_rpm += self._wheel_rpm()
-            for drive in self.drives.values():
-                drive.run(STEP_US)
+        fl, fr, rl, rr = self.motor_signs
+        left, right = (drive.path_rpm(steps, STEP_US) for drive in self.drives.values())
+        for (left_front, left_rear), (right_front, right_rear) in zip(left, right, strict=True):
+            wheel_rpm += (fl * left_front, fr * right_front, rl * left_rear, rr * right_rear)
         for side, drive in self.drives.items():
             self.cables[f"roboteq_{side}"].board_write(drive.transmit())
         return wheel_rpm

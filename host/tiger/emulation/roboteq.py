@@ -146,6 +146,29 @@ class Roboteq:
             self._hear(data[:n], first_ns)
         self._advance(end_ns)
 
+    def path_rpm(self, steps: int, step_us: int) -> list[tuple[float, float]]:
+        """Let `steps` times `step_us` pass; return the speeds that the motors are driven to before each."""
+        path: list[tuple[float, float]] = []
+        while len(path) < steps:
+            left = steps - len(path)
+            end_ns = self._now_ns + left * step_us * 1000
+            if self._changes_by(end_ns):
+                path.append(self.motor_rpm)
+                self.run(step_us)
+            else:
+                path += [self.motor_rpm] * left
+                self._advance(end_ns)
+        return path
+
+    def _changes_by(self, end_ns: int) -> bool:
+        """Whether anything may come until then that changes the speeds."""
+        if self._incoming and self._incoming[0][0] <= end_ns:
+            return True
+        due_ns = self._watchdog_due_ns
+        if (due_ns is not None and due_ns <= end_ns) or self.stage_off:
+            return True
+        return self._motor_rpm != (STILL if self._watchdog_expired else self._command_rpm)
+
     def _advance(self, to_ns: int) -> None:
         """Ramp the motors up to a moment, with the watchdog's expiry on the way."""
         due = self._watchdog_due_ns
@@ -158,9 +181,10 @@ class Roboteq:
         self._now_ns = to_ns
 
     def _ramp(self, span_ns: int) -> None:
-        self._emergency = self._emergency or self.estop_input
+        if self.estop_input:
+            self._emergency = True
         targets = STILL if self._watchdog_expired else self._command_rpm
-        if self.stage_off:
+        if self._emergency or self.fault_flags & FF_STAGE_OFF:
             self._motor_rpm = list(STILL)
         elif self._motor_rpm != targets:
             for channel, target in enumerate(targets):
@@ -205,8 +229,8 @@ class Roboteq:
     def _hear(self, data: bytes, first_ns: int) -> None:
         """Take bytes of one line, up to its end if that is among them."""
         if not self._settings["ECHOF"][0]:
-            for echoed in _ECHOED.finditer(data):
-                self._send(echoed[0], first_ns + echoed.start() * BYTE_NS)
+            for start, echoed in _echoes(data):
+                self._send(echoed, first_ns + start * BYTE_NS)
         line = self._line + data.replace(b"\n", b"")
         if not line.endswith(b"\r"):
             self._line = line[: LINE_LIMIT + 1]  # one more marks the overflow
@@ -345,8 +369,14 @@ def _queue(wire: deque[tuple[int, bytes]], data: bytes, after_ns: int) -> int:
 
 
 @lru_cache(maxsize=256)
+def _echoes(data: bytes) -> tuple[tuple[int, bytes], ...]:
+    """What comes back of these bytes, and from which place on; a host says the same few again and again."""
+    return tuple((found.start(), found[0]) for found in _ECHOED.finditer(data))
+
+
+@lru_cache(maxsize=256)
 def _parsed(line: bytes) -> tuple[str, str, tuple[int, ...]]:
-    """Kind, name and numbers of a line; a host says the same few again and again."""
+    """Kind, name and numbers of a line."""
     if len(line) > LINE_LIMIT or not line.isascii():
         raise Refused
     text = line.decode("ascii").strip()
