@@ -192,6 +192,7 @@ class ContactConfig(_Section):
 
     period_s: Annotated[float, Field(ge=0.05, le=0.5, strict=True)]
     expected_twist_mm: Positive
+    false_alarm_s: Positive
     attitude_noise_deg: Positive
     slope_drift_deg: Positive
     slope_per_metre_deg: Positive
@@ -243,11 +244,14 @@ class OdometryConfig(_Section):
     start_iron_ut: Positive
     wheel_scale_sigma: Positive
     wheel_sigma_mps: Positive
+    missing_wheel_factor: Factor
     wheel_noise_mps: Positive
     wheel_noise_ratio: Positive
     gate_sigmas: Positive
     regain_sigmas: Positive
     coasting_sigmas: Positive
+    agree_sigmas: Positive
+    agree_s: Positive
     longest_slip_s: Positive
     longest_tooth_s: Positive
     memory: Positive
@@ -301,9 +305,9 @@ class LoadsConfig(_Section):
     attitude_noise_deg: Positive
     force_noise_mps2: Positive
     rolling_spread: Positive
+    soft_resistance: Positive
     moving_mps: Positive
     turning_degps: Positive
-    steady_mps2: Positive
     tilt_bandwidth_radps: Annotated[float, Field(ge=0.1, le=5.0, strict=True)]
     changed_sigmas: Annotated[float, Field(ge=3.0, le=20.0, strict=True)]
     load_noise_n: Positive

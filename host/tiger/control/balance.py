@@ -38,6 +38,10 @@ class Phase(IntEnum):
     HOLD = 3
 
 
+FEELING = (Phase.PROBE, Phase.SEARCH)
+"""What the attitude answers is looked at, and nothing but the twist should move it."""
+
+
 @dataclass(frozen=True, slots=True)
 class BalanceState:
     """What a tick leaves to the next. Twists are those of the strokes, mm of lift at each corner."""

@@ -245,11 +245,22 @@ def _level(design: ControllerDesign, command: Command, known: _Known) -> Target 
 
 
 def _balance(design: ControllerDesign, command: Command, known: _Known) -> Target | None:
-    """As level, as far as the twist of the strokes leaves it that shares the load: wheels first."""
-    (roll, roll_rate), (pitch, pitch_rate) = _followable_ground(design, known)
-    roll, pitch = command.roll_rad - roll, command.pitch_rad - pitch
+    """As level, as far as the twist of the strokes leaves it that shares the load: wheels first.
+
+    While it feels for the ground only the twist moves: what a body on three wheels leans over is no slope.
+    """
+    estimate, phase = known.estimate, known.balance.phase
+    if phase in balance.FEELING:
+        roll, pitch = (
+            estimate.roll_rad - estimate.plate_roll_rad,
+            estimate.pitch_rad - estimate.plate_pitch_rad,
+        )
+        roll_rate = pitch_rate = 0.0
+    else:
+        (roll, roll_rate), (pitch, pitch_rate) = _followable_ground(design, known)
+        roll, pitch = command.roll_rad - roll, command.pitch_rad - pitch
     target = _posed(design, command, roll, pitch, (-roll_rate, -pitch_rate), known.balance.wanted_mm)
-    probing = known.balance.phase == balance.Phase.PROBE
+    probing = phase == balance.Phase.PROBE
     twist_mmps = design.robot.balance.probe_mmps if probing else design.leveling.lift_rate_mmps
     return replace(target, twist_mmps=twist_mmps)
 

@@ -25,10 +25,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiger.control import traction
-from tiger.control.reachable import Suspension
+from tiger.control.reachable import WARP, Suspension
 from tiger.estimation import ground_track
 from tiger.estimation.ground_track import TrackDesign, TrackState
-from tiger.frozen import dataclass, replace
+from tiger.frozen import dataclass
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
 
 if TYPE_CHECKING:
@@ -46,8 +46,6 @@ _CANDIDATES = 2 * round(_REACH_OF_GRID_MM / _GRID_MM) + 1
 _TIPS = 0.05
 """How readily, at each update in which the strokes twist, the body tips over the diagonal it stands on."""
 _STILL_MM = 0.3
-_KEPT = 0.2
-"""Of what was expected at first: no candidate is ever ruled out by noise."""
 _QUARTILES_OF_SIGMA = 1.349
 """Distance of the quartiles of a normal distribution, in standard deviations."""
 _CREEP_MPS = 0.03
@@ -60,6 +58,8 @@ _LEAST_LOG = -6.0
 """Of what one update says: no single moment decides."""
 _MODEL_SHARE = 0.1
 """Of a turn by the strokes: what the weight's lever and unequal springs may add to it."""
+_SWING_S = 0.04
+"""The body swings about its strokes by what they move in this time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,26 +73,31 @@ class ContactDesign:
     """Candidates (n,) for the ground's twist."""
     expected: Array
     """Their probability (n,) before anything is known."""
+    kept: Array
+    """The least probability (3, n) that noise leaves them, see `_kept`."""
     stiffness_npmm: float
     """Load that a twist of 1 mm moves at each corner: spring and tyre in series."""
     mass_kg: float
     com_height_m: float
     """Of the whole robot above the ground."""
-    roll_per_mm: float
+    turn_rad_per_mm: Array
+    """Roll and pitch (2, 2, 1) by 1 mm of twist beyond lift-off of the front, and of the rear wheel: (4.8) on
+    three wheels."""
     pitch_per_mm: float
-    """Turn of the body by 1 mm of twist beyond lift-off, (4.8) on three wheels, with the weight's lever."""
+    """The larger of them."""
     noise_rad2: float
     drift_rad2: float
+    slope_rad2_per_m: float
     x_m: Four
     y_m: Four
     radius_m: float
-    ticks: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
     """What is thought of each candidate: its probability (3, n), the front, the rear or both wheels of the
-    diagonal hanging, and the slope of the ground it takes, in roll and pitch (2, 3, n) with its variance."""
+    diagonal hanging, and the slope of the ground it takes, in roll and pitch (2, 3, n). The variance is zero
+    before the first attitude."""
 
     probability: Array
     offset_rad: Array
@@ -127,8 +132,8 @@ class ContactState:
     """Roll and pitch by the strokes at the last update."""
     travelled_m: float = 0.0
     """At the last update."""
-    ticks: int = -1
-    """Since the last update; -1 before the first."""
+    due_s: float = -1e9
+    """Time of the next update."""
 
 
 def design_contact(robot: RobotConfig) -> ContactDesign:
@@ -140,29 +145,45 @@ def design_contact(robot: RobotConfig) -> ContactDesign:
     x, y = parameters.corner_positions_m().T
     unsprung_kg = float(parameters.wheel_mass_kg().sum())
     mass_kg = body.mass_kg + unsprung_kg
-    # Beyond lift-off one spring holds the body on its diagonal, against the lever of its own weight.
-    arm_m = body.wheelbase_m * body.half_track_m / math.hypot(0.5 * body.wheelbase_m, body.half_track_m)
-    spring = float(springs.mean())
-    lean = 1.0 / (1.0 - body.mass_kg * GRAVITY_MPS2 * body.com_height_m / (spring * arm_m**2))
+    roll, pitch = 0.001 / body.half_track_m, 0.002 / body.wheelbase_m
+    stiffness_npmm = 0.001 * float(springs.mean())
     grid_mm = np.linspace(-_REACH_OF_GRID_MM, _REACH_OF_GRID_MM, _CANDIDATES)
+    expected = _tent(grid_mm, config.expected_twist_mm)
     return ContactDesign(
         config=config,
         suspension=Suspension.from_config(robot),
         track=ground_track.design_track(robot),
         grid_mm=grid_mm,
-        expected=_tent(grid_mm, config.expected_twist_mm),
-        stiffness_npmm=0.001 * spring,
+        expected=expected,
+        kept=_kept(robot, grid_mm, expected, 0.25 * mass_kg * GRAVITY_MPS2 / stiffness_npmm),
+        stiffness_npmm=stiffness_npmm,
         mass_kg=mass_kg,
-        com_height_m=(body.mass_kg * body.com_height_m + unsprung_kg * tire.rolling_radius_m) / mass_kg,
-        roll_per_mm=lean * 0.001 / body.half_track_m,
-        pitch_per_mm=lean * 0.002 / body.wheelbase_m,
+        com_height_m=body.mass_kg * body.com_height_m / mass_kg,
+        turn_rad_per_mm=np.array([[[-roll], [roll]], [[-pitch], [pitch]]]),
+        pitch_per_mm=pitch,
         noise_rad2=math.radians(config.attitude_noise_deg) ** 2,
         drift_rad2=math.radians(config.slope_drift_deg) ** 2,
+        slope_rad2_per_m=math.radians(config.slope_per_metre_deg) ** 2,
         x_m=tuple(x.tolist()),
         y_m=tuple(y.tolist()),
         radius_m=tire.rolling_radius_m,
-        ticks=round(config.period_s * robot.loop.rate_hz),
     )
+
+
+def _kept(robot: RobotConfig, grid_mm: Array, expected: Array, lift_off_mm: float) -> Array:
+    """Return the least probability (3, n) of each candidate: noise and a wrong model rule none out for good.
+
+    With such a floor the filter is a test of CUSUM's kind, which takes a wheel for hanging when its
+    likelihood has grown from the floor to the odds at which mode balance acts. If no wheel hangs, a
+    likelihood ratio has the mean one, and by the inequality of Doob that takes, on average, no less than
+    odds / floor updates (Lorden 1971). The floor is as high, and the filter as quick to think again, as the
+    time between two false alarms lets it.
+    """
+    odds = robot.balance.sure / (1.0 - robot.balance.sure)
+    updates = robot.contact.false_alarm_s / robot.contact.period_s
+    hanging = float(expected[np.abs(grid_mm) > lift_off_mm].sum())
+    share = min(1.0, odds / updates / max(hanging, 1e-6))
+    return np.stack([expected] * _SIDES) * (share / _SIDES)
 
 
 def initial_state(design: ContactDesign) -> ContactState:
@@ -179,141 +200,152 @@ def step(
 
     The attitude is compared every `contact.period_s`, the ground's track at every length it is kept at.
     """
-    if inputs.strokes is None or not estimate.ready:
+    strokes = inputs.strokes
+    if strokes is None or not estimate.ready:
         return state, state.contact
-    track = ground_track.step(design.track, state.track, estimate)
-    ticks = state.ticks + 1
-    if 0 < ticks < design.ticks:
-        return replace(state, track=track, ticks=ticks), state.contact
+    track, now_s, travelled_m = state.track, inputs.now_s, estimate.odometry.distance_m
+    due = now_s + 0.5 * dt >= state.due_s
+    if travelled_m - track.travelled_m >= design.track.step_m:
+        track = ground_track.step(design.track, track, estimate)
+    elif not due:
+        return state, state.contact
+    if not due:
+        last = state.contact, state.twist_mm, state.posed_rad, state.travelled_m, state.due_s
+        return ContactState(state.belief, track, *last), state.contact
     at = design.suspension.curve.at
-    fl, fr, rl, rr = (at(stroke)[0] for stroke in inputs.strokes.stroke_mm)
-    pose = design.suspension.pose((fl, fr, rl, rr))
-    # The body swings after the strokes: it is compared with where they were half a period ago.
-    twist_mm = pose.warp_mm if ticks == 0 else 0.5 * (state.twist_mm + pose.warp_mm)
-    posed_rad = pose.roll_rad, pose.pitch_rad
-    attitude_rad = estimate.roll_rad - posed_rad[0], estimate.pitch_rad - posed_rad[1]
-    turned_rad = max(abs(a - b) for a, b in zip(posed_rad, state.posed_rad, strict=True))
-    travelled_m = estimate.odometry.distance_m
-    creeps = abs(estimate.odometry.speed_mps) < _CREEP_MPS
-    driven_m = 0.0 if creeps else travelled_m - state.travelled_m
-    lift_off_mm = _lift_off_mm(design, estimate, loads)
-    belief = state.belief
-    if ticks > 0:
-        belief = _driven(design, belief, track, driven_m)
-        belief = _proved(design, belief, twist_mm, lift_off_mm, inputs)
-    moved = abs(pose.warp_mm - state.twist_mm) > _STILL_MM
-    kept = np.maximum(belief.probability, _KEPT / _SIDES * design.expected)
-    belief = _compared(
-        design,
-        replace(belief, probability=kept / kept.sum()),
-        twist_mm,
-        lift_off_mm,
-        attitude_rad,
-        turned_rad,
-        driven_m,
-        first=ticks == 0,
-        moved=moved,
-    )
-    contact = _found(design, belief, twist_mm, lift_off_mm)
-    return ContactState(belief, track, contact, pose.warp_mm, posed_rad, travelled_m, 0), contact
+    fl, fr, rl, rr = strokes.stroke_mm
+    pose = design.suspension.pose((at(fl)[0], at(fr)[0], at(rl)[0], at(rr)[0]))
+    posed_rad, attitude_rad = (pose.roll_rad, pose.pitch_rad), (estimate.roll_rad, estimate.pitch_rad)
+    lift_off_mm = _lift_off_mm(design, attitude_rad, loads)
+    belief, candidates = state.belief, design.grid_mm + pose.warp_mm
+    turned = _turned(design, _excess_mm(design, candidates, lift_off_mm))
+    slope_rad = _slope(attitude_rad, posed_rad, turned)
+    if belief.variance_rad2 == 0.0:
+        belief = Belief(belief.probability, slope_rad, design.noise_rad2)
+    else:
+        creeps = abs(estimate.odometry.speed_mps) < _CREEP_MPS
+        driven_m = 0.0 if creeps else travelled_m - state.travelled_m
+        probability = _driven(design, belief.probability, track, driven_m)
+        probability = _proved(design, probability, candidates, lift_off_mm, inputs)
+        probability = np.maximum(probability, design.kept)
+        belief = Belief(probability, belief.offset_rad, belief.variance_rad2)
+        twisted_mm = abs(pose.warp_mm - state.twist_mm)
+        moved_rad = max(
+            abs(posed_rad[0] - state.posed_rad[0]),
+            abs(posed_rad[1] - state.posed_rad[1]),
+            design.pitch_per_mm * twisted_mm,
+        )
+        belief = _compared(design, belief, slope_rad, moved_rad, driven_m)
+        if twisted_mm > _STILL_MM:
+            belief = _tipped(belief, candidates, lift_off_mm)
+    contact = _found(design, belief.probability, pose.warp_mm, lift_off_mm)
+    due_s = max(state.due_s, now_s - 0.5 * dt) + design.config.period_s
+    return ContactState(belief, track, contact, pose.warp_mm, posed_rad, travelled_m, due_s), contact
 
 
 # ---- what lifts a wheel off -----------------------------------
 
 
-def _lift_off_mm(design: ContactDesign, estimate: Estimate, loads: Loads) -> Four:
+def _lift_off_mm(design: ContactDesign, attitude_rad: tuple[float, float], loads: Loads) -> Four:
     """Twist at which each wheel would lift off: its load without any, over the stiffness.
 
-    On a slope the weight leans to the lower side by the height of the COM.
+    The weight leans to the side to which the body is tilted, by the height of the COM.
     """
-    mass_kg = loads.mass_kg if loads.mass_kg > 0.0 else design.mass_kg
-    weight_n = mass_kg * GRAVITY_MPS2
-    ahead_m = loads.com_m[0] + design.com_height_m * math.tan(estimate.plate_pitch_rad)
-    left_m = loads.com_m[1] - design.com_height_m * math.tan(estimate.plate_roll_rad)
+    weight_n = (loads.mass_kg if loads.mass_kg > 0.0 else design.mass_kg) * GRAVITY_MPS2
+    roll_rad, pitch_rad = attitude_rad
+    ahead_m = loads.com_m[0] + design.com_height_m * math.tan(pitch_rad)
+    left_m = loads.com_m[1] - design.com_height_m * math.tan(roll_rad)
     x, y = design.x_m, design.y_m
-    middle_m = 0.5 * (x[0] + x[2])
-    along, across = (ahead_m - middle_m) / (x[0] - x[2]), 0.5 * left_m / y[0]
-    front, rear = 0.5 + along, 0.5 - along
-    left, right = 0.5 + across, 0.5 - across
-    per_mm = weight_n / design.stiffness_npmm
     # Forces of four equal springs under a plane: the mean of both shares, not their product.
-    share = (front + left, front + right, rear + left, rear + right)
-    fl, fr, rl, rr = (max(0.0, per_mm * 0.5 * (s - 0.5)) for s in share)
-    return fl, fr, rl, rr
+    along = (ahead_m - 0.5 * (x[0] + x[2])) / (x[0] - x[2])
+    across = 0.5 * left_m / y[0]
+    per_mm = 0.5 * weight_n / design.stiffness_npmm
+    fl, fr = per_mm * (0.5 + along + across), per_mm * (0.5 + along - across)
+    rl, rr = per_mm * (0.5 - along + across), per_mm * (0.5 - along - across)
+    return max(fl, 0.0), max(fr, 0.0), max(rl, 0.0), max(rr, 0.0)
 
 
-def _excess_mm(twist_mm: Array, lift_off_mm: Four) -> Array:
-    """How far each candidate's twist (n,) is beyond lift-off, with its sign: + when FR or RL hangs."""
+def _excess_mm(design: ContactDesign, twist_mm: Array, lift_off_mm: Four) -> Array:
+    """How far each candidate's twist (n,) is beyond lift-off of the front, and of the rear wheel (2, n).
+
+    With its sign: + when FR or RL hangs. The lift-off is that at the attitude as it is, which has the tilt in
+    it that the hanging wheel has brought about.
+    """
     fl, fr, rl, rr = lift_off_mm
-    beyond: Array = np.maximum(twist_mm - min(fr, rl), 0.0) + np.minimum(twist_mm + min(fl, rr), 0.0)
-    return beyond
+    low, high = np.array([[-fl], [-rr]]), np.array([[fr], [rl]])
+    excess: Array = twist_mm - np.minimum(np.maximum(twist_mm, low), high)
+    return excess
+
+
+def _turned(design: ContactDesign, excess_mm: Array) -> Array:
+    """Roll and pitch (2, 2, n) by which the body leans over when the front, or the rear wheel hangs.
+
+    A hanging corner goes up: FL +roll -pitch, FR -roll -pitch, RL +roll +pitch, RR -roll +pitch. On both
+    wheels of its diagonal alone it does not lean.
+    """
+    both = np.empty((2, *excess_mm.shape))
+    both[0] = excess_mm
+    np.abs(excess_mm, out=both[1])
+    both *= design.turn_rad_per_mm
+    return both
 
 
 # ---- evidence ---------------------------------------------------
 
 
+def _slope(attitude_rad: tuple[float, float], posed_rad: tuple[float, float], turned_rad: Array) -> Array:
+    """Roll and pitch (2, 3, n) that strokes and hanging wheels leave to the ground."""
+    slope = np.empty((2, _SIDES, turned_rad.shape[2]))
+    for axis in (0, 1):
+        rest = attitude_rad[axis] - posed_rad[axis]
+        np.subtract(rest, turned_rad[axis], out=slope[axis, :2])
+        slope[axis, 2] = rest
+    return slope
+
+
 def _compared(
-    design: ContactDesign,
-    belief: Belief,
-    twist_mm: float,
-    lift_off_mm: Four,
-    attitude_rad: tuple[float, float],
-    turned_rad: float,
-    driven_m: float,
-    *,
-    first: bool,
-    moved: bool,
+    design: ContactDesign, belief: Belief, slope_rad: Array, moved_rad: float, driven_m: float
 ) -> Belief:
-    """Weigh each candidate by how well it foretold roll and pitch, and let it learn the slope."""
-    excess = _excess_mm(design.grid_mm + twist_mm, lift_off_mm)
-    # A hanging corner goes up: FL +roll -pitch, FR -roll -pitch, RL +roll +pitch, RR -roll +pitch.
-    size = np.abs(excess)
-    roll, pitch = design.roll_per_mm * excess, design.pitch_per_mm * size
-    neither = np.zeros_like(roll)
-    foretold = np.array([[-roll, roll, neither], [-pitch, pitch, neither]])  # axis, side, candidate
-    seen = np.array(attitude_rad)[:, None, None] - foretold
-    if first:
-        return Belief(belief.probability, seen, design.noise_rad2)
-    slope = math.radians(design.config.slope_per_metre_deg)
-    drift = design.drift_rad2 + (_MODEL_SHARE * turned_rad) ** 2 + slope**2 * driven_m
-    prior = belief.variance_rad2 + drift
-    missed = seen - belief.offset_rad
-    gain = prior / (prior + design.noise_rad2)
-    log = (-0.5 / (prior + design.noise_rad2)) * (missed * missed).sum(axis=0)
-    log = np.maximum(log - log.max(), _LEAST_LOG)
-    return _mixed(
-        belief.probability * np.exp(log),
-        belief.offset_rad + gain * missed,
-        (1.0 - gain) * prior,
-        lift_off_mm,
-        design.grid_mm + twist_mm,
-        tips=_TIPS if moved else 0.0,
-    )
+    """Weigh each candidate by how well it foretold roll and pitch, and let it learn the slope.
+
+    `moved_rad`: how far the strokes have turned the body since the last time, or may have.
+    """
+    missed = slope_rad - belief.offset_rad
+    squares = missed * missed
+    wrong = squares[0] + squares[1]
+    # Under strokes that stand still, what no candidate explains is another motion, and speaks for none.
+    other_rad2 = float(wrong.min()) if moved_rad < _STILL_MM * design.pitch_per_mm else 0.0
+    slope_rad2 = design.drift_rad2 + (_MODEL_SHARE * moved_rad) ** 2 + design.slope_rad2_per_m * driven_m
+    prior = belief.variance_rad2 + slope_rad2 + other_rad2
+    noise = design.noise_rad2 + (_SWING_S / design.config.period_s * moved_rad) ** 2
+    gain = prior / (prior + noise)
+    wrong -= wrong.min()
+    wrong *= -0.5 / (prior + noise)
+    probability = belief.probability * np.exp(np.maximum(wrong, _LEAST_LOG))
+    probability /= probability.sum()
+    missed *= gain
+    missed += belief.offset_rad
+    return Belief(probability, missed, (1.0 - gain) * prior)
 
 
-def _mixed(
-    probability: Array,
-    offset_rad: Array,
-    variance_rad2: float,
-    lift_off_mm: Four,
-    twist_mm: Array,
-    *,
-    tips: float,
-) -> Belief:
-    """Normalise, and let a little of each candidate tip over; it takes along what it knows of the slope.
+def _tipped(belief: Belief, twist_mm: Array, lift_off_mm: Four) -> Belief:
+    """Let a little of each candidate tip over; it takes along what it knows of the slope.
 
     Mixing as in an interacting-multiple-model filter (Blom and Bar-Shalom 1988).
     """
     fl, fr, rl, rr = lift_off_mm
-    front = np.where(twist_mm > 0.0, _first_off(fr, rl), _first_off(fl, rr))
-    share = np.stack(
-        [(1.0 - _TIGHTROPE) * front, (1.0 - _TIGHTROPE) * (1.0 - front), np.full_like(front, _TIGHTROPE)]
-    )
-    tipped = tips * share * probability.sum(axis=0)
-    mixed = (1.0 - tips) * probability + tipped
-    mean_rad = (probability * offset_rad).sum(axis=1, keepdims=True) / probability.sum(axis=0)
-    part = tipped / mixed
-    return Belief(mixed / mixed.sum(), (1.0 - part) * offset_rad + part * mean_rad, variance_rad2)
+    below = int(np.searchsorted(twist_mm, 0.0, "right"))
+    probability, offset = belief.probability, belief.offset_rad
+    total = probability[0] + probability[1] + probability[2]
+    tipped = np.empty_like(probability)
+    for part, front in ((slice(None, below), _first_off(fl, rr)), (slice(below, None), _first_off(fr, rl))):
+        np.multiply(total[part], _TIPS * (1.0 - _TIGHTROPE) * front, out=tipped[0, part])
+        np.multiply(total[part], _TIPS * (1.0 - _TIGHTROPE) * (1.0 - front), out=tipped[1, part])
+    np.multiply(total, _TIPS * _TIGHTROPE, out=tipped[2])
+    mixed = (1.0 - _TIPS) * probability + tipped
+    mean_rad = (probability * offset).sum(axis=1, keepdims=True) / total
+    offset_rad = np.where(tipped > 0.5 * mixed, mean_rad, offset)
+    return Belief(mixed, offset_rad, belief.variance_rad2)
 
 
 def _first_off(front_mm: float, rear_mm: float) -> float:
@@ -322,53 +354,70 @@ def _first_off(front_mm: float, rear_mm: float) -> float:
 
 
 def _proved(
-    design: ContactDesign, belief: Belief, twist_mm: float, lift_off_mm: Four, inputs: Inputs
-) -> Belief:
+    design: ContactDesign, probability: Array, twist_mm: Array, lift_off_mm: Four, inputs: Inputs
+) -> Array:
     """A wheel that pushes has load: no less than its force over the most grip there is."""
-    _, torque_nm = traction.measured(inputs)
-    twist = design.grid_mm + twist_mm
+    noise_mm = design.config.push_noise_mm
     least = 1.0 / (design.config.grip_max * design.radius_m * design.stiffness_npmm)
-    log = np.zeros(_CANDIDATES)
-    for sign, torque, off in zip((1.0, -1.0, -1.0, 1.0), torque_nm, lift_off_mm, strict=True):
-        missing = abs(torque) * least - design.config.push_noise_mm - np.maximum(off + sign * twist, 0.0)
-        log -= 0.5 * (np.maximum(missing, 0.0) / design.config.push_noise_mm) ** 2
-    if not log.any():
-        return belief
-    probability = belief.probability * np.exp(np.maximum(log, _LEAST_LOG))
-    return replace(belief, probability=probability / probability.sum())
+    log = None
+    for sign, torque, off in zip(WARP, traction.measured(inputs)[1], lift_off_mm, strict=True):
+        proved_mm = abs(torque) * least - noise_mm
+        if proved_mm <= 0.0:
+            continue
+        missing = np.maximum(proved_mm - np.maximum(off + sign * twist_mm, 0.0), 0.0) / noise_mm
+        log = -0.5 * missing * missing + (0.0 if log is None else log)
+    if log is None:
+        return probability
+    weighed = probability * np.exp(np.maximum(log, _LEAST_LOG))
+    return np.asarray(weighed / weighed.sum())
 
 
-def _driven(design: ContactDesign, belief: Belief, track: TrackState, driven_m: float) -> Belief:
+def _driven(design: ContactDesign, probability: Array, track: TrackState, driven_m: float) -> Array:
     """Let what was known of the ground fade into what its track tells, as new ground comes."""
+    if driven_m <= 0.0:
+        return probability
     fade = 1.0 - math.exp(-driven_m / design.config.fade_m)
-    if fade <= 0.0:
-        return belief
     twist_mm, sigma_mm = ground_track.twist(design.track, track)
-    ahead = (1.0 / _SIDES) * _bell(design.grid_mm, twist_mm, sigma_mm)
-    return replace(belief, probability=(1.0 - fade) * belief.probability + fade * ahead)
+    ahead = _bell(design.grid_mm, twist_mm, sigma_mm)
+    return (1.0 - fade) * probability + (fade / _SIDES) * ahead
 
 
 # ---- result -----------------------------------------------------
 
 
-def _found(design: ContactDesign, belief: Belief, twist_mm: float, lift_off_mm: Four) -> Contact:
-    total = belief.probability.sum(axis=0)
-    quantiles = np.interp([0.25, 0.5, 0.75], np.cumsum(total) - 0.5 * total, design.grid_mm)
-    low_mm, middle_mm, high_mm = quantiles.tolist()
-    excess = _excess_mm(design.grid_mm + twist_mm, lift_off_mm)
-    low, high = (
-        belief.probability[:, excess < 0.0].sum(axis=1),
-        belief.probability[:, excess > 0.0].sum(axis=1),
-    )
-    fl, rr = float(low[0] + low[2]), float(low[1] + low[2])
-    fr, rl = float(high[0] + high[2]), float(high[1] + high[2])
+def _found(design: ContactDesign, probability: Array, twist_mm: float, lift_off_mm: Four) -> Contact:
+    """`probability` adds up to one."""
+    fl, fr, rl, rr = lift_off_mm
+    summed = np.cumsum(probability, axis=1)
+    low_mm, middle_mm, high_mm = _quantiles(design.grid_mm, summed[0] + summed[1] + summed[2])
+    at_mm = np.array([-fl, -rr, -max(fl, rr), fr, rl, max(fr, rl)])
+    ends = np.searchsorted(design.grid_mm, at_mm - twist_mm).tolist()
+    low = [_up_to(summed[side], end) for side, end in enumerate(ends[:3])]
+    high = [float(summed[side, -1]) - _up_to(summed[side], end) for side, end in enumerate(ends[3:])]
     return Contact(
         ground_warp_mm=middle_mm,
         sigma_mm=(high_mm - low_mm) / _QUARTILES_OF_SIGMA,
-        hanging=(fl, fr, rl, rr),
-        lifted=float(low.sum() - high.sum()),
-        lift_off_mm=(-min(lift_off_mm[0], lift_off_mm[3]), min(lift_off_mm[1], lift_off_mm[2])),
+        hanging=(low[0] + low[2], high[0] + high[2], high[1] + high[2], low[1] + low[2]),
+        lifted=sum(low) - sum(high),
+        lift_off_mm=(-min(fl, rr), min(fr, rl)),
     )
+
+
+def _up_to(summed: Array, end: int) -> float:
+    return float(summed[end - 1]) if end > 0 else 0.0
+
+
+def _quantiles(grid_mm: Array, summed: Array) -> tuple[float, float, float]:
+    """Quartiles and median of a distribution on the grid, linear between its points."""
+    found = []
+    for share in (0.25, 0.5, 0.75):
+        k = min(int(summed.searchsorted(share)), _CANDIDATES - 1)
+        before = float(summed[k - 1]) if k > 0 else 0.0
+        # A point's probability lies about it, half to each side.
+        part = (share - before) / max(float(summed[k]) - before, 1e-12)
+        found.append(float(grid_mm[k]) + _GRID_MM * (min(part, 1.0) - 0.5))
+    low, middle, high = found
+    return low, middle, high
 
 
 def _tent(grid_mm: Array, scale_mm: float) -> Array:
@@ -380,6 +429,7 @@ def _tent(grid_mm: Array, scale_mm: float) -> Array:
 
 def _bell(grid_mm: Array, mean_mm: float, sigma_mm: float) -> Array:
     """Normal probabilities of the candidates, which add up to one."""
-    weight = np.exp(-0.5 * ((grid_mm - mean_mm) / sigma_mm) ** 2)
-    normal: Array = weight / weight.sum()
-    return normal
+    away = (grid_mm - mean_mm) * (math.sqrt(0.5) / sigma_mm)
+    weight = np.exp(-away * away)
+    weight /= weight.sum()
+    return weight
