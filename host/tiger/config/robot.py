@@ -191,6 +191,7 @@ class ContactConfig(_Section):
     """What `estimation.contact` and `ground_track` expect of ground and measurements."""
 
     period_s: Annotated[float, Field(ge=0.05, le=0.5, strict=True)]
+    idle_period_s: Annotated[float, Field(ge=0.05, le=1.0, strict=True)]
     expected_twist_mm: Positive
     false_alarm_s: Positive
     attitude_noise_deg: Positive

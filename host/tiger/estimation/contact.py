@@ -30,6 +30,7 @@ from tiger.estimation import ground_track
 from tiger.estimation.ground_track import TrackDesign, TrackState
 from tiger.frozen import dataclass
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
+from tiger.record import Mode
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -46,6 +47,7 @@ _CANDIDATES = 2 * round(_REACH_OF_GRID_MM / _GRID_MM) + 1
 _TIPS = 0.05
 """How readily, at each update in which the strokes twist, the body tips over the diagonal it stands on."""
 _STILL_MM = 0.3
+_QUARTILES = (0.25, 0.5, 0.75)
 _QUARTILES_OF_SIGMA = 1.349
 """Distance of the quartiles of a normal distribution, in standard deviations."""
 _CREEP_MPS = 0.03
@@ -132,8 +134,8 @@ class ContactState:
     """Roll and pitch by the strokes at the last update."""
     travelled_m: float = 0.0
     """At the last update."""
-    due_s: float = -1e9
-    """Time of the next update."""
+    at_s: float = -1e9
+    """Time of the last update."""
 
 
 def design_contact(robot: RobotConfig) -> ContactDesign:
@@ -198,19 +200,22 @@ def step(
 ) -> tuple[ContactState, Contact]:
     """Advance by `dt` seconds; `estimate` has attitude and odometry of this tick, `loads` mass and COM.
 
-    The attitude is compared every `contact.period_s`, the ground's track at every length it is kept at.
+    The attitude is compared every `contact.period_s` in mode balance, every `contact.idle_period_s` in any
+    other; the ground's track at every length it is kept at.
     """
     strokes = inputs.strokes
     if strokes is None or not estimate.ready:
         return state, state.contact
     track, now_s, travelled_m = state.track, inputs.now_s, estimate.odometry.distance_m
-    due = now_s + 0.5 * dt >= state.due_s
+    elapsed_s, config = now_s - state.at_s, design.config
+    period_s = config.period_s if inputs.command.mode is Mode.BALANCE else config.idle_period_s
+    due = elapsed_s > period_s - 0.5 * dt
     if travelled_m - track.travelled_m >= design.track.step_m:
         track = ground_track.step(design.track, track, estimate)
     elif not due:
         return state, state.contact
     if not due:
-        last = state.contact, state.twist_mm, state.posed_rad, state.travelled_m, state.due_s
+        last = state.contact, state.twist_mm, state.posed_rad, state.travelled_m, state.at_s
         return ContactState(state.belief, track, *last), state.contact
     at = design.suspension.curve.at
     fl, fr, rl, rr = strokes.stroke_mm
@@ -235,12 +240,11 @@ def step(
             abs(posed_rad[1] - state.posed_rad[1]),
             design.pitch_per_mm * twisted_mm,
         )
-        belief = _compared(design, belief, slope_rad, moved_rad, driven_m)
+        belief = _compared(design, belief, slope_rad, moved_rad, moved_rad / elapsed_s, driven_m)
         if twisted_mm > _STILL_MM:
-            belief = _tipped(belief, candidates, lift_off_mm)
+            belief = _tipped(belief, pose.warp_mm, lift_off_mm)
     contact = _found(design, belief.probability, pose.warp_mm, lift_off_mm)
-    due_s = max(state.due_s, now_s - 0.5 * dt) + design.config.period_s
-    return ContactState(belief, track, contact, pose.warp_mm, posed_rad, travelled_m, due_s), contact
+    return ContactState(belief, track, contact, pose.warp_mm, posed_rad, travelled_m, now_s), contact
 
 
 # ---- what lifts a wheel off -----------------------------------
@@ -304,11 +308,16 @@ def _slope(attitude_rad: tuple[float, float], posed_rad: tuple[float, float], tu
 
 
 def _compared(
-    design: ContactDesign, belief: Belief, slope_rad: Array, moved_rad: float, driven_m: float
+    design: ContactDesign,
+    belief: Belief,
+    slope_rad: Array,
+    moved_rad: float,
+    rate_radps: float,
+    driven_m: float,
 ) -> Belief:
     """Weigh each candidate by how well it foretold roll and pitch, and let it learn the slope.
 
-    `moved_rad`: how far the strokes have turned the body since the last time, or may have.
+    `moved_rad`: how far the strokes have turned the body since the last time, or may have, and at which rate.
     """
     missed = slope_rad - belief.offset_rad
     squares = missed * missed
@@ -317,7 +326,7 @@ def _compared(
     other_rad2 = float(wrong.min()) if moved_rad < _STILL_MM * design.pitch_per_mm else 0.0
     slope_rad2 = design.drift_rad2 + (_MODEL_SHARE * moved_rad) ** 2 + design.slope_rad2_per_m * driven_m
     prior = belief.variance_rad2 + slope_rad2 + other_rad2
-    noise = design.noise_rad2 + (_SWING_S / design.config.period_s * moved_rad) ** 2
+    noise = design.noise_rad2 + (_SWING_S * rate_radps) ** 2
     gain = prior / (prior + noise)
     wrong -= wrong.min()
     wrong *= -0.5 / (prior + noise)
@@ -328,13 +337,13 @@ def _compared(
     return Belief(probability, missed, (1.0 - gain) * prior)
 
 
-def _tipped(belief: Belief, twist_mm: Array, lift_off_mm: Four) -> Belief:
+def _tipped(belief: Belief, strokes_mm: float, lift_off_mm: Four) -> Belief:
     """Let a little of each candidate tip over; it takes along what it knows of the slope.
 
     Mixing as in an interacting-multiple-model filter (Blom and Bar-Shalom 1988).
     """
     fl, fr, rl, rr = lift_off_mm
-    below = int(np.searchsorted(twist_mm, 0.0, "right"))
+    below = _index(-strokes_mm)
     probability, offset = belief.probability, belief.offset_rad
     total = probability[0] + probability[1] + probability[2]
     tipped = np.empty_like(probability)
@@ -389,11 +398,12 @@ def _found(design: ContactDesign, probability: Array, twist_mm: float, lift_off_
     """`probability` adds up to one."""
     fl, fr, rl, rr = lift_off_mm
     summed = np.cumsum(probability, axis=1)
-    low_mm, middle_mm, high_mm = _quantiles(design.grid_mm, summed[0] + summed[1] + summed[2])
-    at_mm = np.array([-fl, -rr, -max(fl, rr), fr, rl, max(fr, rl)])
-    ends = np.searchsorted(design.grid_mm, at_mm - twist_mm).tolist()
-    low = [_up_to(summed[side], end) for side, end in enumerate(ends[:3])]
-    high = [float(summed[side, -1]) - _up_to(summed[side], end) for side, end in enumerate(ends[3:])]
+    low_mm, middle_mm, high_mm = _quantiles(summed[0] + summed[1] + summed[2])
+    low = [_below(summed[side], -mm - twist_mm) for side, mm in enumerate((fl, rr, max(fl, rr)))]
+    high = [
+        float(summed[side, -1]) - _below(summed[side], mm - twist_mm)
+        for side, mm in enumerate((fr, rl, max(fr, rl)))
+    ]
     return Contact(
         ground_warp_mm=middle_mm,
         sigma_mm=(high_mm - low_mm) / _QUARTILES_OF_SIGMA,
@@ -403,19 +413,26 @@ def _found(design: ContactDesign, probability: Array, twist_mm: float, lift_off_
     )
 
 
-def _up_to(summed: Array, end: int) -> float:
+def _index(twist_mm: float) -> int:
+    """First candidate of no less than this twist."""
+    return min(max(math.ceil((twist_mm + _REACH_OF_GRID_MM) / _GRID_MM), 0), _CANDIDATES)
+
+
+def _below(summed: Array, twist_mm: float) -> float:
+    """Probability of the candidates below a twist, from their running sum."""
+    end = _index(twist_mm)
     return float(summed[end - 1]) if end > 0 else 0.0
 
 
-def _quantiles(grid_mm: Array, summed: Array) -> tuple[float, float, float]:
+def _quantiles(summed: Array) -> tuple[float, float, float]:
     """Quartiles and median of a distribution on the grid, linear between its points."""
     found = []
-    for share in (0.25, 0.5, 0.75):
-        k = min(int(summed.searchsorted(share)), _CANDIDATES - 1)
+    for share, k in zip(_QUARTILES, summed.searchsorted(_QUARTILES).tolist(), strict=True):
+        k = min(k, _CANDIDATES - 1)
         before = float(summed[k - 1]) if k > 0 else 0.0
         # A point's probability lies about it, half to each side.
         part = (share - before) / max(float(summed[k]) - before, 1e-12)
-        found.append(float(grid_mm[k]) + _GRID_MM * (min(part, 1.0) - 0.5))
+        found.append(_GRID_MM * (k + min(part, 1.0) - 0.5) - _REACH_OF_GRID_MM)
     low, middle, high = found
     return low, middle, high
 

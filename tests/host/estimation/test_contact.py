@@ -12,9 +12,10 @@ from tiger.config.robot import load_robot
 from tiger.control.reachable import WARP
 from tiger.estimation import contact
 from tiger.estimation.contact import Contact, ContactDesign, ContactState
-from tiger.record import STILL, DriveSample, Estimate, Inputs, Loads, Odometry, StrokeSample
+from tiger.record import STILL, Command, DriveSample, Estimate, Inputs, Loads, Mode, Odometry, StrokeSample
 
 TICKS, TICK_S = 20, 0.005
+BALANCE = Command(Mode.BALANCE)
 
 
 @pytest.fixture(scope="module")
@@ -49,10 +50,10 @@ def look(
         pitch_rad=attitude_rad[1],
         odometry=Odometry(distance_m=distance_m, speed_mps=0.2),
     )
-    start_s, found = max(state.due_s, 0.0), state.contact
+    start_s, found = max(state.at_s + TICKS * TICK_S, 0.0), state.contact
     for tick in range(TICKS):
         now_s = start_s + TICK_S * tick
-        inputs = Inputs(now_s, True, strokes=strokes, drive_left=drives[0], drive_right=drives[1])
+        inputs = Inputs(now_s, True, BALANCE, strokes=strokes, drive_left=drives[0], drive_right=drives[1])
         state, found = contact.step(design, state, inputs, estimate, loads, TICK_S)
     return state, found
 
