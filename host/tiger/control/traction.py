@@ -16,7 +16,8 @@ The share is a quadratic programme of the four forces f_i,
 whose first line is the power lost in slip where slip grows with f/(mu N): its minimum uses the same part of
 the friction everywhere. Both wishes are heavy weights, not constraints: f = 0 is always feasible. The
 sideways force is known, so the ellipse is an interval for f_i. `share = "equal"` leaves friction out of it,
-which makes of each side an open differential.
+which makes of each side an open differential. Most of the time nothing limits: then the minimum is that of
+two linear equations, and no solver is asked.
 
 What a wheel slips beyond its limit the same integral takes back, and no trim drives a wheel out of its slip
 limits: a host that stops here leaves four bounded, steady speeds. A wheel that slips too much has no more
@@ -73,6 +74,8 @@ class TractionDesign:
     static_load_n: Four
     demand: Array
     """Share of each force in the pull and, over the half track, in the moment, (2, 4)."""
+    demand_hessian: Array
+    """What they add to the programme's matrix, (4, 4)."""
     ticks_per_update: int
 
 
@@ -113,6 +116,7 @@ def design_traction(robot: RobotConfig) -> TractionDesign:
     half = 0.5 * GRAVITY_MPS2 * body.mass_kg / wheelbase
     front = half * body.com_to_rear_axle_m + vehicle.front.unsprung_mass_kg * GRAVITY_MPS2
     rear = half * body.com_to_front_axle_m + vehicle.rear.unsprung_mass_kg * GRAVITY_MPS2
+    demand = np.array([[1.0] * 4, [-side for side in _SIDE]])
     return TractionDesign(
         config=config,
         solve=solve,
@@ -121,7 +125,8 @@ def design_traction(robot: RobotConfig) -> TractionDesign:
         torque_max_nm=config.torque_share_max * min(motor_nm, current_nm),
         rpm_max=design_drive(robot).rpm_max,
         static_load_n=(front, front, rear, rear),
-        demand=np.array([[1.0] * 4, [-side for side in _SIDE]]),
+        demand=demand,
+        demand_hessian=_WEIGHT * demand.T @ demand,
         ticks_per_update=round(robot.loop.rate_hz / robot.loop.drive_rate_hz),
     )
 
@@ -156,23 +161,24 @@ def _update(
     dt: float,
 ) -> TractionState:
     """Measure, share out, trim."""
-    config = design.config
+    config, radius_m = design.config, design.radius_m
     speed_radps, torque_nm = measured(inputs)
     load_n = wheel_loads_n(design, estimate)
-    pull_n = _four([torque / design.radius_m for torque in torque_nm])
-    use = _four([pull / load for pull, load in zip(pull_n, load_n, strict=True)])
-    turning_rpm = _four([speed / _RADPS_PER_RPM for speed in speed_radps])
+    a, b, c, d = torque_nm
+    pull_n = a / radius_m, b / radius_m, c / radius_m, d / radius_m
+    p, q, r, s = pull_n
+    fl, fr, rl, rr = load_n
+    use = p / fl, q / fr, r / rl, s / rr
+    v, w, x, y = speed_radps
+    power_w = a * v, b * w, c * x, d * y
+    turning_rpm = v / _RADPS_PER_RPM, w / _RADPS_PER_RPM, x / _RADPS_PER_RPM, y / _RADPS_PER_RPM
     slow_rpm, fast_rpm = slip_limits_rpm(design, turning_rpm, estimate)
-    beyond_rpm = _four(
-        [
-            max(rpm - fast, 0.0) + min(rpm - slow, 0.0)
-            for rpm, slow, fast in zip(turning_rpm, slow_rpm, fast_rpm, strict=True)
-        ]
-    )
+    beyond_rpm = _beyond(turning_rpm, slow_rpm, fast_rpm)
     above = _learn_friction(config, state.friction, use, load_n, beyond_rpm, dt)
     friction = config.friction + above
     grip = _learn_grip(config, state.grip, use, friction, beyond_rpm, dt)
-    gripping_n = _four([share * load for share, load in zip(grip, load_n, strict=True)])
+    p, q, r, s = grip
+    gripping_n = p * fl, q * fr, r * rl, s * rr
     task = task_of(design, pull_n, speed_radps, gripping_n, friction, estimate)
     force_n = allocate(design, task)
     trim_rpm = STILL
@@ -183,7 +189,7 @@ def _update(
     last = Traction(
         force_n=force_n,
         torque_nm=torque_nm,
-        power_w=_four([torque * speed for torque, speed in zip(torque_nm, speed_radps, strict=True)]),
+        power_w=power_w,
         electric_w=electric_w(inputs),
         friction_use=use,
         friction=friction,
@@ -201,21 +207,18 @@ def measured(inputs: Inputs) -> tuple[Four, Four]:
     left, right = inputs.drive_left, inputs.drive_right
     if left is None or right is None:
         return STILL, STILL
-    rpm = (left.wheel_rpm[0], right.wheel_rpm[0], left.wheel_rpm[1], right.wheel_rpm[1])
+    (a, c), (b, d) = left.wheel_rpm, right.wheel_rpm
     (fl, rl), (fr, rr) = left.motor_current_a, right.motor_current_a
-    a, b, c, d = (value * _RADPS_PER_RPM for value in rpm)
-    speed_radps = a, b, c, d
-    e, f, g, h = (_torque_nm(i, w) for i, w in zip((fl, fr, rl, rr), speed_radps, strict=True))
-    return speed_radps, (e, f, g, h)
+    a, b, c, d = a * _RADPS_PER_RPM, b * _RADPS_PER_RPM, c * _RADPS_PER_RPM, d * _RADPS_PER_RPM
+    return (a, b, c, d), (_torque_nm(fl, a), _torque_nm(fr, b), _torque_nm(rl, c), _torque_nm(rr, d))
 
 
-_MOTOR = MotorCurrent()
+_NO_LOAD_A, _TORQUE_PER_AMP_NM = MotorCurrent().no_load_a, MotorCurrent().torque_per_amp_nm
 
 
 def _torque_nm(current_a: float, speed_radps: float) -> float:
     """Torque behind a current, as `MotorCurrent.torque_nm` for plain floats."""
-    drag_a = _MOTOR.no_load_a * math.tanh(speed_radps / _DRAG_SPEED_RADPS)
-    return (current_a - drag_a) * _MOTOR.torque_per_amp_nm
+    return (current_a - _NO_LOAD_A * math.tanh(speed_radps / _DRAG_SPEED_RADPS)) * _TORQUE_PER_AMP_NM
 
 
 def electric_w(inputs: Inputs) -> Four:
@@ -284,13 +287,15 @@ def task_of(
 ) -> Task:
     """What the drives' speed loops ask of the tyres together, as their torques show it."""
     fl, fr, rl, rr = pull_n
+    v, w, x, y = speed_radps
+    radius_m = design.radius_m
     return Task(
         pull_n=fl + fr + rl + rr,
         moment_nm=(fr + rr - fl - rl) * design.half_track_m,
         load_n=load_n,
         friction=friction,
         side_use=_sideways_mps2(estimate) / GRAVITY_MPS2,
-        speed_mps=_four([speed * design.radius_m for speed in speed_radps]),
+        speed_mps=(v * radius_m, w * radius_m, x * radius_m, y * radius_m),
     )
 
 
@@ -300,14 +305,47 @@ def allocate(design: TractionDesign, task: Task) -> Four:
     It always has a solution, f = 0 at worst: the demand is a wish. Should the solver fail, each side's
     wheels get what they can of the demand in proportion to their limits.
     """
-    config, unit = design.config, _FORCE_UNIT_N
     most_n = limits_n(design, task)
-    if config.share == "load":
-        grip = [task.friction * load / unit for load in task.load_n]
+    fl, fr, rl, rr = task.load_n
+    friction = task.friction / _FORCE_UNIT_N
+    if design.config.share == "load":
+        grip = (friction * fl, friction * fr, friction * rl, friction * rr)
     else:
-        grip = [task.friction * sum(task.load_n) / 4.0 / unit] * 4
+        each = friction * (fl + fr + rl + rr) / 4.0
+        grip = (each, each, each, each)
+    force_n = _unlimited(design, task, grip)
+    if _allowed(design, task, force_n, most_n):
+        return force_n
+    return _limited(design, task, grip, most_n)
+
+
+def _unlimited(design: TractionDesign, task: Task, grip: Four) -> Four:
+    """Forces in N at which the cost is least, whatever limits them: f_i = grip_i (a + s_i b), s = -1 left, 1
+    right, where a and b are the weight times what pull and moment miss."""
+    fl, fr, rl, rr = grip
+    left, right = fl + rl, fr + rr
+    both, more = left + right + 1.0 / _WEIGHT, right - left
+    pull, turn = task.pull_n, task.moment_nm / design.half_track_m
+    scale = 1.0 / (both * both - more * more)
+    a, b = scale * (both * pull - more * turn), scale * (both * turn - more * pull)
+    return fl * (a - b), fr * (a + b), rl * (a - b), rr * (a + b)
+
+
+def _allowed(design: TractionDesign, task: Task, force_n: Four, most_n: Four) -> bool:
+    """Tell whether these forces keep all limits."""
+    a, b, c, d = force_n
+    p, q, r, s = most_n
+    if not (-p <= a <= p and -q <= b <= q and -r <= c <= r and -s <= d <= s):
+        return False
+    v, w, x, y = task.speed_mps
+    return abs(v * a + w * b + x * c + y * d) <= design.config.battery_power_w
+
+
+def _limited(design: TractionDesign, task: Task, grip: Four, most_n: Four) -> Four:
+    """Solve the programme where something limits."""
+    config, unit = design.config, _FORCE_UNIT_N
     wish = np.array([task.pull_n, task.moment_nm / design.half_track_m]) / unit
-    hessian = _WEIGHT * design.demand.T @ design.demand
+    hessian = design.demand_hessian.copy()
     hessian.flat[::5] += [1.0 / g for g in grip]
     upper = np.array([*(most / unit for most in most_n), config.battery_power_w / unit])
     solution, _, flag, _ = design.solve(  # type: ignore[misc]
@@ -328,7 +366,13 @@ def limits_n(design: TractionDesign, task: Task) -> Four:
     if config.share == "equal":
         return torque_n, torque_n, torque_n, torque_n
     along = math.sqrt(max(task.friction**2 - task.side_use**2, 0.0))
-    return _four([min(torque_n, along * load) for load in task.load_n])
+    a, b, c, d = task.load_n
+    return (
+        min(torque_n, along * a),
+        min(torque_n, along * b),
+        min(torque_n, along * c),
+        min(torque_n, along * d),
+    )
 
 
 def _in_proportion(design: TractionDesign, task: Task, most_n: Four) -> Four:
@@ -350,17 +394,25 @@ def slip_limits_rpm(design: TractionDesign, turning_rpm: Four, estimate: Estimat
     the slowest wheel where that is faster than the body.
     """
     config, odometry = design.config, estimate.odometry
-    turning = odometry.yaw_rate_radps * design.half_track_m
     rpm_per_mps = 1.0 / (design.radius_m * _RADPS_PER_RPM)
+    turning = odometry.yaw_rate_radps * design.half_track_m
     slowest = min(map(abs, turning_rpm)) / rpm_per_mps
-    slow, fast = [], []
-    for side in _SIDE:
-        speed = odometry.speed_mps - side * turning
+    limits = []
+    for speed in (odometry.speed_mps - turning, odometry.speed_mps + turning):
         held = max(abs(speed), slowest)
         spread = held - abs(speed) + config.slip_max * held + config.slip_margin_mps
-        slow.append((speed - spread) * rpm_per_mps)
-        fast.append((speed + spread) * rpm_per_mps)
-    return _four(slow), _four(fast)
+        limits.append(((speed - spread) * rpm_per_mps, (speed + spread) * rpm_per_mps))
+    (slow_left, fast_left), (slow_right, fast_right) = limits
+    return (slow_left, slow_right, slow_left, slow_right), (fast_left, fast_right, fast_left, fast_right)
+
+
+def _beyond(rpm: Four, slow_rpm: Four, fast_rpm: Four) -> Four:
+    """How far each wheel is out of its slip limits, with sign."""
+    a, b, c, d = (
+        turning - fast if turning > fast else turning - slow if turning < slow else 0.0
+        for turning, slow, fast in zip(rpm, slow_rpm, fast_rpm, strict=True)
+    )
+    return a, b, c, d
 
 
 def _trim(
