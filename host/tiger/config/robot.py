@@ -78,6 +78,10 @@ class ObserverConfig(_Section):
     ground_noise_mm: Positive
     gyro_bias_drift_degps: Positive
     history_ms: Annotated[float, Field(ge=10.0, le=500.0, strict=True)]
+    tilt_sigma_deg: Positive
+    tilt_follow_s: Positive
+    tilt_forget_s: Positive
+    tilt_rate_degps: Positive
 
 
 class LevelingConfig(_Section):
@@ -103,6 +107,12 @@ class LevelingConfig(_Section):
     ride_stroke_mm: Positive
     max_angle_deg: Annotated[float, Field(gt=0.0, le=45.0, strict=True)]
     out_of_reach: Literal["clip", "refuse"]
+    rolling_mps: Positive
+    ahead_step_m: Positive
+    ahead_memory_m: Positive
+    ahead_smooth_m: Positive
+    ahead_noise: Positive
+    ahead_fade_deg: Positive
 
     @model_validator(mode="after")
     def _hysteresis(self) -> LevelingConfig:

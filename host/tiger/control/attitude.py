@@ -52,6 +52,9 @@ class Target:
     twist_mmps: float = 0.0
     """The twist of the pose is wanted for its own sake: so fast at most, and reason enough for a move."""
 
+    rolling: bool = False
+    """The robot drives: the ground will not stand still, and no error is left to rest."""
+
     @property
     def twists(self) -> bool:
         """Whether it is."""
@@ -181,6 +184,7 @@ def step(
         warping = _warping(design, target, warp_error, speed)
         pressing = _pressing(design, error, turning, abs(warping) if target.twists else 0.0)
         wanted = _feedback(design, turning, pressing, ride_error, warping, speed)
+        wanted = _nearest(design, wanted, min(rate_share))
         limits = _rate_limits(design, stroke_mm, rate, rate_share)
         allocate = _allocate_twisting if target.twists else _allocate
         goal = allocate(suspension, wanted, ratio, limits)
@@ -213,6 +217,8 @@ def _phase(
         keep * last.turning_radps[0] + (1.0 - keep) * target.roll_rate_radps,
         keep * last.turning_radps[1] + (1.0 - keep) * target.pitch_rate_radps,
     )
+    if target.rolling:
+        return Phase(True, 0.0, 0.0, config.still_time_s, turning)
     still = max(abs(turning[0]), abs(turning[1])) < design.still_radps
     worst = max(abs(error[0]), abs(error[1]))
     if last.moving:
@@ -281,6 +287,32 @@ def _feedback(
         pitch_rad=pitch_rate + k * error[1] - d * (speed.pitch_rad - pitch_rate),
         ride_mm=k * ride_error_mm - d * speed.ride_mm,
         warp_mm=warping_mmps,
+    )
+
+
+def _nearest(design: LevelingDesign, wanted: Pose, rate_share: float) -> Pose:
+    """Rates of roll and pitch nearest to the wanted ones among those that the actuators have.
+
+    Both axes share them: |roll rate|/limit + |pitch rate|/limit <= 1. The nearest leave most to the axis
+    that lacks most; both scaled down alike would leave the sum of squares larger for longer.
+    """
+    roll_limit, pitch_limit = design.turn_limits_radps
+    roll_limit, pitch_limit = rate_share * roll_limit, rate_share * pitch_limit
+    roll, pitch = abs(wanted.roll_rad), abs(wanted.pitch_rad)
+    excess = roll * pitch_limit + pitch * roll_limit - roll_limit * pitch_limit
+    if excess <= 0.0:
+        return wanted
+    excess /= roll_limit**2 + pitch_limit**2
+    roll, pitch = roll - excess * pitch_limit, pitch - excess * roll_limit
+    if roll <= 0.0:
+        roll, pitch = 0.0, pitch_limit
+    elif pitch <= 0.0:
+        roll, pitch = roll_limit, 0.0
+    return Pose(
+        math.copysign(roll, wanted.roll_rad),
+        math.copysign(pitch, wanted.pitch_rad),
+        wanted.ride_mm,
+        wanted.warp_mm,
     )
 
 

@@ -27,6 +27,7 @@ from tiger.control.traction import TractionDesign, TractionState
 from tiger.daemon import situation
 from tiger.daemon.situation import SituationDesign, SituationState
 from tiger.estimation import attitude_observer as observer
+from tiger.estimation import ground_ahead
 from tiger.estimation.attitude_observer import ObserverDesign, ObserverState
 from tiger.frozen import dataclass, replace
 from tiger.record import Command, Estimate, Inputs, Mode, Outputs
@@ -131,7 +132,8 @@ def step(
 
     contact = known.contact.contact
     balancing = _balancing(design, state.balance, command, contact, strokes.stroke_mm)
-    now = _Known(estimate, ground, balancing, contact)
+    turning = ground_ahead.turning_radps(design.situation.ahead, known.ahead, estimate)
+    now = _Known(estimate, ground, balancing, contact, turning)
     target, reason = _target(design, command, now)
     rate_share = motor_heat.rate_share(design.robot.leveling, heat)
     leveling, levelled = attitude.step(
@@ -195,7 +197,9 @@ def _observe(
     lift_rate_mps = np.array(ratio) * np.array(strokes.rate_mmps) * 0.001
     sample = imu if imu is not None and imu.t_s > state.imu_t_s else None
     age_s = 0.0 if sample is None else inputs.now_s - sample.t_s
-    return observer.step(design.observer, state.observer, lift_m, lift_rate_mps, sample, age_s)
+    error = state.situation.tilt_error
+    off = error.roll_rad, error.pitch_rad
+    return observer.step(design.observer, state.observer, lift_m, lift_rate_mps, sample, age_s, off)
 
 
 # ---- modes --------------------------------------------------
@@ -209,6 +213,8 @@ class _Known:
     ground: tuple[Rhythm, Rhythm]
     balance: BalanceState
     contact: Contact
+    turning_radps: tuple[float, float]
+    """Rates of roll and pitch of the ground over the next moments."""
 
 
 def _target(design: ControllerDesign, command: Command, known: _Known) -> tuple[Target | None, str]:
@@ -239,9 +245,10 @@ def _hold(design: ControllerDesign, command: Command, known: _Known) -> Target |
 def _level(design: ControllerDesign, command: Command, known: _Known) -> Target | None:
     """Roll and pitch against gravity: what the ground does not give, the strokes must."""
     (roll, roll_rate), (pitch, pitch_rate) = _followable_ground(design, known)
-    return _posed(
-        design, command, command.roll_rad - roll, command.pitch_rad - pitch, (-roll_rate, -pitch_rate)
-    )
+    roll, pitch = command.roll_rad - roll, command.pitch_rad - pitch
+    target = _posed(design, command, roll, pitch, (-roll_rate, -pitch_rate))
+    rolling = abs(known.estimate.speed_mps) > design.robot.leveling.rolling_mps
+    return replace(target, rolling=True) if rolling else target
 
 
 def _balance(design: ControllerDesign, command: Command, known: _Known) -> Target | None:
@@ -275,8 +282,8 @@ def _followable_ground(
     """Angle and rate of the ground in roll and pitch; where it is too fast, of what can be followed of it."""
     estimate = known.estimate
     axes = [
-        (estimate.plate_roll_rad, estimate.plate_roll_rate_radps),
-        (estimate.plate_pitch_rad, estimate.plate_pitch_rate_radps),
+        (estimate.plate_roll_rad, known.turning_radps[0]),
+        (estimate.plate_pitch_rad, known.turning_radps[1]),
     ]
     limits, actuator = design.leveling.turn_limits_radps, design.robot.actuator
     delay_s = design.robot.leveling.setpoint_delay_s

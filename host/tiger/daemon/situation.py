@@ -5,16 +5,18 @@ from __future__ import annotations
 from dataclasses import field
 from typing import TYPE_CHECKING
 
-from tiger.estimation import contact, odometry, roughness, wheel_loads
+from tiger.estimation import contact, ground_ahead, odometry, roughness, tilt_error, wheel_loads
 from tiger.estimation.contact import Contact, ContactDesign, ContactState
+from tiger.estimation.ground_ahead import AheadDesign, AheadState
 from tiger.estimation.odometry import OdometryDesign, OdometryState
 from tiger.estimation.roughness import RoughnessDesign, RoughnessState
+from tiger.estimation.tilt_error import TiltError
 from tiger.estimation.wheel_loads import LoadsDesign, LoadsState
 from tiger.frozen import dataclass, replace
 from tiger.record import Loads
 
 if TYPE_CHECKING:
-    from tiger.config.robot import RobotConfig
+    from tiger.config.robot import ObserverConfig, RobotConfig
     from tiger.record import Estimate, Inputs
 
 
@@ -26,6 +28,8 @@ class SituationDesign:
     contact: ContactDesign
     loads: LoadsDesign
     roughness: RoughnessDesign
+    ahead: AheadDesign
+    tilt: ObserverConfig
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,10 +38,13 @@ class SituationState:
 
     contact: ContactState
     loads: LoadsState
+    ahead: AheadState
     odometry: OdometryState = field(default_factory=OdometryState)
     roughness: RoughnessState = field(default_factory=RoughnessState)
     carried: Loads = field(default_factory=Loads)
     """Loads as last estimated."""
+    tilt_error: TiltError = TiltError()
+    """What the next attitude from the Nano is off by."""
 
 
 def design_situation(robot: RobotConfig) -> SituationDesign:
@@ -47,12 +54,18 @@ def design_situation(robot: RobotConfig) -> SituationDesign:
         contact=contact.design_contact(robot),
         loads=wheel_loads.design_loads(robot),
         roughness=roughness.design_roughness(robot),
+        ahead=ground_ahead.design_ahead(robot),
+        tilt=robot.observer,
     )
 
 
 def initial_state(design: SituationDesign) -> SituationState:
     """Return the state before the first tick."""
-    return SituationState(contact.initial_state(design.contact), wheel_loads.initial_state(design.loads))
+    return SituationState(
+        contact.initial_state(design.contact),
+        wheel_loads.initial_state(design.loads),
+        ground_ahead.initial_state(design.ahead),
+    )
 
 
 def step(
@@ -63,12 +76,16 @@ def step(
     estimate = replace(
         estimate, speed_mps=where.speed_mps, yaw_rate_radps=where.yaw_rate_radps, odometry=where
     )
+    tilt = state.tilt_error
+    if inputs.imu is not None:
+        tilt = tilt_error.step(design.tilt, tilt, inputs.imu, moving)
+    ahead = ground_ahead.step(design.ahead, state.ahead, estimate)
     touching, touch = contact.step(design.contact, state.contact, inputs, estimate, state.carried, dt)
     estimate = replace(estimate, loads=_with_contact(state.carried, touch))
     loading, loads = wheel_loads.step(design.loads, state.loads, inputs, estimate, dt)
     rolling, rough = roughness.step(design.roughness, state.roughness, inputs, estimate, dt)
     loads = _with_contact(loads, touch)
-    after = SituationState(touching, loading, moving, rolling, loads)
+    after = SituationState(touching, loading, ahead, moving, rolling, loads, tilt)
     return after, replace(estimate, loads=loads, roughness=rough)
 
 

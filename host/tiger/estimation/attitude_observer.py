@@ -14,6 +14,7 @@ for a linear model.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -81,7 +82,7 @@ class ObserverState:
 def design_observer(robot: RobotConfig) -> ObserverDesign:
     """Sample the model and design the gain, in milliseconds; raises ValueError where no filter exists."""
     noise, period = robot.observer, robot.loop.period_s
-    parameters = FullCarParameters.from_config(robot.vehicle)
+    parameters = observed_car(robot)
     model = _augmented(parameters, robot.vehicle.imu_offset_m[:2])
     sampled = model.discretise(period)
     forces, roads = range(4), range(4, 8)
@@ -126,6 +127,17 @@ def design_observer(robot: RobotConfig) -> ObserverDesign:
     )
 
 
+def observed_car(robot: RobotConfig) -> FullCarParameters:
+    """Return the car of (4.9) with a body that rolls about the ground, where the tyres hold it sideways.
+
+    (4.6) has it roll about its centre of mass, as on ice. That is twice as fast as it does, and each stroke
+    would look like ground that rocks.
+    """
+    parameters, height_m = FullCarParameters.from_config(robot.vehicle), robot.vehicle.body.com_height_m
+    inertia = parameters.roll_inertia_kgm2 + parameters.body_mass_kg * height_m**2
+    return replace(parameters, roll_inertia_kgm2=inertia)
+
+
 def initial_state(design: ObserverDesign) -> ObserverState:
     """Return the state before the first sample."""
     n, p = design.transition.shape[0], design.output.shape[0]
@@ -139,15 +151,16 @@ def step(
     lift_rate_mps: Array,
     sample: ImuSample | None,
     age_s: float = 0.0,
+    tilt_error_rad: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[ObserverState, Estimate]:
     """Advance by one tick: predict, and correct if there is a new sample.
 
     lift_m (4,): how far each stroke lifts the spring's seat, from any fixed zero; lift_rate_mps (4,) its
-    rate. A sample `age_s` older than the history is left out.
+    rate. A sample `age_s` older than the history is left out; `tilt_error_rad` is added to roll and pitch.
     """
     force = design.spring_npm * lift_m + design.damper_nspm * lift_rate_mps
     if not state.ready:
-        return _first(design, state, force, sample)
+        return _first(design, state, force, sample, tilt_error_rad)
     x = design.transition @ state.x + design.from_force @ force
     predicted = np.empty(state.predicted.shape)  # empty_like takes three times as long
     predicted[0] = design.output @ x + design.feedthrough @ force
@@ -156,7 +169,7 @@ def step(
     if sample is not None:
         ticks = max(0, round(age_s / design.period_s))
         if ticks < len(design.corrections):
-            difference = _measured(sample) - predicted[ticks]
+            difference = _measured(sample, tilt_error_rad) - predicted[ticks]
             correction = design.corrections[ticks] @ difference
             n = len(x)
             x = x + correction[:n]
@@ -185,12 +198,16 @@ def _estimate(design: ObserverDesign, x: Array, innovation: tuple[float, ...] = 
 
 
 def _first(
-    design: ObserverDesign, state: ObserverState, force: Array, sample: ImuSample | None
+    design: ObserverDesign,
+    state: ObserverState,
+    force: Array,
+    sample: ImuSample | None,
+    tilt_error_rad: tuple[float, float],
 ) -> tuple[ObserverState, Estimate]:
     """Start at rest in the attitude of the first sample."""
     if sample is None:
         return state, Estimate(ready=False)
-    plate = _measured(sample)[:2] - design.nominal @ force
+    plate = _measured(sample, tilt_error_rad)[:2] - design.nominal @ force
     x = design.at_rest @ np.concatenate([plate, force])
     output = design.output @ x + design.feedthrough @ force
     predicted = np.tile(output, (len(state.predicted), 1))
@@ -205,10 +222,11 @@ def attitude_rad(quaternion: Four) -> tuple[float, float]:
     return roll, pitch
 
 
-def _measured(sample: ImuSample) -> Array:
+def _measured(sample: ImuSample, tilt_error_rad: tuple[float, float]) -> Array:
     """Bring a sample into the model's coordinates: roll, pitch, their rates, and vertical acceleration."""
     w, x, y, z = sample.quaternion
     roll, pitch = attitude_rad(sample.quaternion)
+    roll, pitch = roll + tilt_error_rad[0], pitch + tilt_error_rad[1]
     p, q, r = sample.rate_radps
     sin, cos = math.sin(roll), math.cos(roll)
     turning = q * sin + r * cos

@@ -10,8 +10,8 @@ import pytest
 
 from tiger.config.robot import load_robot
 from tiger.estimation import attitude_observer as observer
-from tiger.estimation.attitude_observer import ObserverState, design_observer, initial_state
-from tiger.models.full_car import FORCE, ROAD, FullCarParameters, full_car
+from tiger.estimation.attitude_observer import ObserverState, design_observer, initial_state, observed_car
+from tiger.models.full_car import FORCE, ROAD, full_car
 from tiger.record import Estimate, ImuSample
 
 ROBOT = load_robot()
@@ -36,7 +36,7 @@ class Car:
     """The 7-DOF model on a plate, stepped with the observer's period: what the observer believes in."""
 
     def __init__(self) -> None:
-        parameters = FullCarParameters.from_config(ROBOT.vehicle)
+        parameters = observed_car(ROBOT)
         outputs = ("roll_rad", "pitch_rad", "roll_rate_radps", "pitch_rate_radps", "imu_heave_accel_mps2")
         model = full_car(parameters, ROBOT.vehicle.imu_offset_m[:2])
         self.model = model.select(inputs=(*ROAD, *FORCE), outputs=outputs).discretise(DT, "zoh")
