@@ -281,7 +281,10 @@ class OdometryConfig(_Section):
     stand_yaw_rate_degps: Positive
     stand_noise_mps: Positive
     stand_gyro_degps: Positive
+    stand_gate_sigmas: Positive
+    stand_turning_s: Positive
     mag_noise_ut: Positive
+    mag_lag_s: NonNegative
     mag_gate_sigmas: Positive
     mag_up_noise_ut: Positive
     mag_up_learning: Annotated[float, Field(ge=0.0, le=1.0, strict=True)]

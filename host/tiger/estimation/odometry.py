@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+Stands = tuple[list[Measurement], float]
 Six = tuple[float, float, float, float, float, float]
 
 CORRECT_EVERY_S = 0.02
@@ -70,10 +71,11 @@ class OdometryDesign:
     imu_height_m: float  # over the COM
     drive_slip_s2pm: float  # slip ratio for each m/s2 that the wheels push
     side_slip_s2pm: float
+    track_offset_m: float  # measured at half the stroke, less what the mechanism's drawing says
 
     def half_track_at(self, stroke_mm: float) -> float:
-        """Half the track at one wheel in m."""
-        return half_track_m(self.drive, stroke_mm)
+        """Half the track at one wheel in m: the vehicle's at half its stroke, and how the mechanism changes it."""
+        return half_track_m(self.drive, stroke_mm) + self.track_offset_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +94,10 @@ class Held:
     covariance: Array = field(default_factory=lambda: np.zeros((N, N)))
     slip: SlipState = field(default_factory=SlipState)
     imu_t_s: float = -np.inf  # of the sample that was corrected
+    yaw_rad: float = 0.0
     wheel_t_s: float = -np.inf
     stood_s: float = 0.0
+    turning_s: float = 0.0  # for how long it has seemed to turn although it stands
     magnetic: Magnetic = field(default_factory=Magnetic)
     pose_covariance: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     speed_sigma_mps: float = 0.0
@@ -116,15 +120,17 @@ def design_odometry(robot: RobotConfig) -> OdometryDesign:
     """Prepare the filter; tyre stiffness is that of the vehicle's tyre under its static load."""
     vehicle, config = robot.vehicle, robot.odometry
     ahead, across = load_tire_set().stiffness_per_load
+    drive = design_drive(robot)
     return OdometryDesign(
         config=config,
         noise=inertial.make_noise(config),
-        drive=design_drive(robot),
+        drive=drive,
         wheel_radius_m=vehicle.tire.rolling_radius_m * robot.drive.wheel_radius_factor,
         com_height_m=vehicle.body.com_height_m,
         imu_height_m=vehicle.imu_offset_m[2],
         drive_slip_s2pm=1.0 / (ahead * GRAVITY_MPS2),
         side_slip_s2pm=1.0 / (across * GRAVITY_MPS2),
+        track_offset_m=vehicle.body.half_track_m - half_track_m(drive, 0.5 * drive.stroke_max_mm),
     )
 
 
@@ -133,8 +139,8 @@ def step(
 ) -> tuple[OdometryState, Odometry]:
     """Advance by `dt` seconds; `estimate` has the attitude and the ground's slope of this tick."""
     raw, left, right = inputs.imu_raw, inputs.wheels_left, inputs.wheels_right
-    if raw is None:
-        return state, Odometry()
+    if raw is None or not any(raw.accel_mps2):  # a sensor that has not woken up feels no gravity
+        return state, _shown(design, state, inputs.now_s) if state.begun else Odometry()
     if not state.begun:
         return _begun(design, raw), Odometry()
     if raw.t_s > state.imu_t_s:
@@ -214,8 +220,9 @@ def _corrected(
 
     stood_s = _standing_s(config, state, covariance.item(GZ, GZ), wheel_radps, dt)
     standing = stood_s > config.stand_s
+    turning_s = 0.0
     if standing:
-        measured = _stands(design, motion, dt)
+        measured, turning_s = _stands(design, held, covariance, motion, dt)
     else:
         measured = [_slides_little(design, state)]
         rolls, good = _rolls(design, held.slip, wheels, good, speed, coasting, yaw_rate)
@@ -234,8 +241,10 @@ def _corrected(
         covariance,
         SlipState(scrub=slipping.scrub) if standing else slipping,
         state.imu_t_s,
+        motion.yaw_rad,
         max(left.t_s, right.t_s),
         stood_s,
+        turning_s,
         magnetic,
         (xx, xy, x_yaw, yy, y_yaw, yaw_yaw),
         sigma,
@@ -288,16 +297,25 @@ def _standing_s(
     return state.held.stood_s + dt if slow or not known else 0.0
 
 
-def _stands(design: OdometryDesign, motion: Motion, dt: float) -> list[Measurement]:
-    """Neither the wheels' contacts nor the heading move: what the gyro turns is its bias."""
-    config, (p, q, r) = design.config, motion.rate_radps
+def _stands(design: OdometryDesign, held: Held, covariance: Array, motion: Motion, dt: float) -> Stands:
+    """Neither the wheels' contacts nor the heading move: what the gyro has turned since is its bias.
+
+    A robot that drives off turns before the first tooth passes a sensor, but not for long.
+    """
+    config, (p, q, _) = design.config, motion.rate_radps
     often = CORRECT_EVERY_S / dt  # sigmas are those of a measurement every 20 ms
-    variance = config.stand_noise_mps**2 * often
-    return [
-        Measurement({U: 1.0}, q * design.imu_height_m - motion.u_mps, variance),
-        Measurement({V: 1.0}, -p * design.imu_height_m - motion.v_mps, variance),
-        Measurement({GZ: 1.0}, r, radians(config.stand_gyro_degps) ** 2 * often),
+    measured = [
+        Measurement({U: 1.0}, q * design.imu_height_m - motion.u_mps, config.stand_noise_mps**2 * often),
+        Measurement({V: 1.0}, -p * design.imu_height_m - motion.v_mps, config.stand_noise_mps**2 * often),
     ]
+    turned_radps = (motion.yaw_rad - held.yaw_rad) / dt
+    bias = Measurement({GZ: 1.0}, turned_radps, radians(config.stand_gyro_degps) ** 2 * often)
+    turns = inertial.surprising(covariance, [bias], config.stand_gate_sigmas)
+    turning_s = held.turning_s + dt if turns else 0.0
+    without_gap = dt < STANDING_EVERY_S + CORRECT_EVERY_S
+    if without_gap and (not turns or turning_s > config.stand_turning_s):
+        measured.append(bias)
+    return measured, turning_s
 
 
 def _rolls(
@@ -318,7 +336,9 @@ def _rolls(
         return [], slip.NONE
     one_side = config.scrub_noise * wheels.half_track_m[0]
     scrubbing = (config.scrub_speed_m if both else one_side) * yaw_rate_radps
-    variance = config.wheel_sigma_mps**2 + config.memory * scrubbing**2
+    # Where wheels slip the ground is slippery: those that hold carry more, and may slip a little unseen.
+    sigma = config.wheel_sigma_mps * config.missing_wheel_factor ** (4 - sum(good))
+    variance = sigma**2 + config.memory * scrubbing**2
     return [Measurement({U: 1.0, SCALE: -seen}, seen - speed_mps, variance)], good
 
 
@@ -341,7 +361,8 @@ def _with_field(
     """
     sin_roll, cos_roll = sin(motion.roll_rad), cos(motion.roll_rad)
     sin_pitch, cos_pitch = sin(motion.pitch_rad), cos(motion.pitch_rad)
-    cos_yaw, sin_yaw = cos(motion.yaw_rad), sin(motion.yaw_rad)
+    yaw_rad = motion.yaw_rad - config.mag_lag_s * motion.rate_radps[2]
+    cos_yaw, sin_yaw = cos(yaw_rad), sin(yaw_rad)
     x, y, z = mag_ut
     level_y = cos_roll * y - sin_roll * z
     down = sin_roll * y + cos_roll * z

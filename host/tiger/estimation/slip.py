@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 FourBools = tuple[bool, bool, bool, bool]
 NONE: FourBools = (False, False, False, False)
+ALL: FourBools = (True, True, True, True)
 _SIDE: Four = (1.0, -1.0, 1.0, -1.0)  # left +
 
 
@@ -34,6 +35,8 @@ class SlipState:
     slipping: FourBools = NONE
     ratio: Four = STILL
     coasting_s: float = 0.0  # since a wheel was believed
+    parted: bool = False  # since all were believed, wheels have told different speeds
+    together_s: float = 0.0  # for how long they have told the same
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +79,11 @@ def trusted(
 
     A wheel that slipped must come closer before it is believed again, and a speed that has been coasting
     for long is only a weak reason to believe a wheel that is further off. The two wheels of a side scrub
-    alike: if they disagree, the one further off slips.
+    alike: if they disagree, the one further off slips. Wheels that told different speeds and now all tell the
+    same hold again, whatever the speed has become meanwhile.
     """
+    if _hold_again(config, state):
+        return ALL
     noise = config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps)
     spread = hypot(noise, config.scrub_noise * yaw_rate_radps * wheels.half_track_m[0])
     most, closer = _gates(config, state, spread, speed_sigma_mps)
@@ -86,7 +92,27 @@ def trusted(
     for front, rear in ((0, 2), (1, 3)):
         if abs(wheels.told_mps[front] - wheels.told_mps[rear]) > config.gate_sigmas * noise:
             good[front if off[front] > off[rear] else rear] = False
+    if abs(yaw_rate_radps) > config.scrub_least_radps:
+        _, closer = _gates(config, state, noise + config.scrub_speed_m * abs(yaw_rate_radps), speed_sigma_mps)
+        for left, right in ((0, 1), (2, 3)):
+            if _only_scrubs(config, wheels, left, right, yaw_rate_radps) and closer > abs(
+                0.5 * (wheels.told_mps[left] + wheels.told_mps[right]) - speed_mps
+            ):
+                good[left] = good[right] = True
     return _bools(good)
+
+
+def _only_scrubs(
+    config: OdometryConfig, wheels: Wheels, left: int, right: int, yaw_rate_radps: float
+) -> bool:
+    """Tell whether two wheels of an axle are as far apart as a turn may set them, front and rear each its way."""
+    track_m = wheels.half_track_m[left] + wheels.half_track_m[right]
+    apart_mps = wheels.surface_mps[right] - wheels.surface_mps[left]
+    return 1.0 <= apart_mps / (track_m * yaw_rate_radps) <= config.scrub_most
+
+
+def _hold_again(config: OdometryConfig, state: SlipState) -> bool:
+    return state.parted and state.together_s >= config.agree_s
 
 
 def _gates(
@@ -109,6 +135,8 @@ def plausible(
     yaw_rate_radps: float,
 ) -> bool:
     """Tell whether the mean of both sides, in which scrub cancels, agrees with inertia."""
+    if _hold_again(config, state):
+        return True
     spread = config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps)
     spread += config.scrub_speed_m * abs(yaw_rate_radps)
     most, closer = _gates(config, state, spread, speed_sigma_mps)
@@ -163,7 +191,13 @@ def step(
         seen = min(max(apart / yaw_rate_radps, 1.0), config.scrub_most)
         scrub += config.scrub_learning_per_rad * turning * dt * (seen - scrub)
     coasting_s = 0.0 if any(good) else state.coasting_s + dt
-    return SlipState(scrub, _four(times), _bools(slipping), _four(ratios), coasting_s)
+    noise = config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps)
+    spread = hypot(noise, config.scrub_noise * yaw_rate_radps * wheels.half_track_m[0])
+    lowest, highest = min(wheels.told_mps), max(wheels.told_mps)
+    together_s = state.together_s + dt if highest - lowest < config.agree_sigmas * spread else 0.0
+    settled = all(good) and abs(0.5 * (lowest + highest) - speed_mps) < spread
+    parted = not settled and (state.parted or highest - lowest > config.gate_sigmas * spread)
+    return SlipState(scrub, _four(times), _bools(slipping), _four(ratios), coasting_s, parted, together_s)
 
 
 def _four(values: list[float]) -> Four:
