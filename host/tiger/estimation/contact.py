@@ -81,7 +81,7 @@ class ContactDesign:
     """Load that a twist of 1 mm moves at each corner: spring and tyre in series."""
     mass_kg: float
     com_height_m: float
-    """Of the whole robot above the ground."""
+    """Of the whole robot above the wheel centres: the ground carries a wheel straight below its own."""
     turn_rad_per_mm: Array
     """Roll and pitch (2, 2, 1) by 1 mm of twist beyond lift-off of the front, and of the rear wheel: (4.8) on
     three wheels."""
@@ -134,6 +134,9 @@ class ContactState:
     """Roll and pitch by the strokes at the last update."""
     travelled_m: float = 0.0
     """At the last update."""
+    carried: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Mass of the robot in kg, 0 if unknown, and how far ahead and to the left its COM is, as of the last
+    drive: at a standstill a body on three wheels looks as if it carried something."""
     at_s: float = -1e9
     """Time of the last update."""
 
@@ -160,7 +163,7 @@ def design_contact(robot: RobotConfig) -> ContactDesign:
         kept=_kept(robot, grid_mm, expected, 0.25 * mass_kg * GRAVITY_MPS2 / stiffness_npmm),
         stiffness_npmm=stiffness_npmm,
         mass_kg=mass_kg,
-        com_height_m=body.mass_kg * body.com_height_m / mass_kg,
+        com_height_m=body.mass_kg * (body.com_height_m - tire.rolling_radius_m) / mass_kg,
         turn_rad_per_mm=np.array([[[-roll], [roll]], [[-pitch], [pitch]]]),
         pitch_per_mm=pitch,
         noise_rad2=math.radians(config.attitude_noise_deg) ** 2,
@@ -215,21 +218,25 @@ def step(
     elif not due:
         return state, state.contact
     if not due:
-        last = state.contact, state.twist_mm, state.posed_rad, state.travelled_m, state.at_s
+        last = state.contact, state.twist_mm, state.posed_rad, state.travelled_m, state.carried, state.at_s
         return ContactState(state.belief, track, *last), state.contact
     at = design.suspension.curve.at
     fl, fr, rl, rr = strokes.stroke_mm
     pose = design.suspension.pose((at(fl)[0], at(fr)[0], at(rl)[0], at(rr)[0]))
     posed_rad, attitude_rad = (pose.roll_rad, pose.pitch_rad), (estimate.roll_rad, estimate.pitch_rad)
-    lift_off_mm = _lift_off_mm(design, attitude_rad, loads)
+    first = state.belief.variance_rad2 == 0.0
+    creeps = abs(estimate.odometry.speed_mps) < _CREEP_MPS
+    driven_m = 0.0 if creeps else travelled_m - state.travelled_m
+    carried = state.carried
+    if first or driven_m > 0.0:
+        carried = loads.mass_kg, loads.com_m[0], loads.com_m[1]
+    lift_off_mm = _lift_off_mm(design, attitude_rad, carried)
     belief, candidates = state.belief, design.grid_mm + pose.warp_mm
     turned = _turned(design, _excess_mm(design, candidates, lift_off_mm))
     slope_rad = _slope(attitude_rad, posed_rad, turned)
-    if belief.variance_rad2 == 0.0:
+    if first:
         belief = Belief(belief.probability, slope_rad, design.noise_rad2)
     else:
-        creeps = abs(estimate.odometry.speed_mps) < _CREEP_MPS
-        driven_m = 0.0 if creeps else travelled_m - state.travelled_m
         probability = _driven(design, belief.probability, track, driven_m)
         probability = _proved(design, probability, candidates, lift_off_mm, inputs)
         probability = np.maximum(probability, design.kept)
@@ -244,21 +251,24 @@ def step(
         if twisted_mm > _STILL_MM:
             belief = _tipped(belief, pose.warp_mm, lift_off_mm)
     contact = _found(design, belief.probability, pose.warp_mm, lift_off_mm)
-    return ContactState(belief, track, contact, pose.warp_mm, posed_rad, travelled_m, now_s), contact
+    return ContactState(belief, track, contact, pose.warp_mm, posed_rad, travelled_m, carried, now_s), contact
 
 
 # ---- what lifts a wheel off -----------------------------------
 
 
-def _lift_off_mm(design: ContactDesign, attitude_rad: tuple[float, float], loads: Loads) -> Four:
+def _lift_off_mm(
+    design: ContactDesign, attitude_rad: tuple[float, float], carried: tuple[float, float, float]
+) -> Four:
     """Twist at which each wheel would lift off: its load without any, over the stiffness.
 
     The weight leans to the side to which the body is tilted, by the height of the COM.
     """
-    weight_n = (loads.mass_kg if loads.mass_kg > 0.0 else design.mass_kg) * GRAVITY_MPS2
+    mass_kg, ahead_m, left_m = carried
     roll_rad, pitch_rad = attitude_rad
-    ahead_m = loads.com_m[0] + design.com_height_m * math.tan(pitch_rad)
-    left_m = loads.com_m[1] - design.com_height_m * math.tan(roll_rad)
+    weight_n = (mass_kg if mass_kg > 0.0 else design.mass_kg) * GRAVITY_MPS2
+    ahead_m += design.com_height_m * math.tan(pitch_rad)
+    left_m -= design.com_height_m * math.tan(roll_rad)
     x, y = design.x_m, design.y_m
     # Forces of four equal springs under a plane: the mean of both shares, not their product.
     along = (ahead_m - 0.5 * (x[0] + x[2])) / (x[0] - x[2])

@@ -44,7 +44,10 @@ class Standing:
         self.static_n = car.static_tire_load_n()
         self.damping_nspm = car.damper_nspm()
         self.inertia = np.array([car.body_mass_kg, car.pitch_inertia_kgm2, car.roll_inertia_kgm2])
-        lever_nm = car.body_mass_kg * GRAVITY_MPS2 * robot.vehicle.body.com_height_m
+        above_m = (
+            robot.vehicle.body.com_height_m - robot.vehicle.tire.rolling_radius_m
+        )  # above the wheel centres
+        lever_nm = car.body_mass_kg * GRAVITY_MPS2 * above_m
         self.lever_nm = lever_nm * np.array([0.0, 1.0, 1.0])
         self.corners = car.corner_kinematics()  # corner heights from heave, pitch, roll
         self.ground_m = 0.001 * ground_mm
