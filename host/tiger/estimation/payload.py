@@ -2,28 +2,34 @@
 
 Three things give a load away, and one hides it:
 
-* **Drive force.** On any slope, force over mass is what an accelerometer feels along the ground,
+* **Drive force.** On any slope, force over mass is what the robot gains in speed and height,
 
-      (F - J a)/M = f_x + g d + c g sign(v),
+      (F - J w')/M = a + g (climb) + c g sign(v),
 
-  F from the motor currents, J the wheels' spin inertia, d the pitch of the body against the ground, c the
-  rolling resistance. The ground's slope is not in it. This gives the mass M.
+  F from the motor currents, J w' for the wheels' own spin, c the rolling resistance. The acceleration a of
+  the centre of all masses comes from the accelerometer, whose place is above it, with the pitch against
+  gravity: a body that pitches on its springs carries its accelerometer to and fro. This gives the mass M.
 * **Tilt.** The springs give way: off the middle a load tilts the body against its wheels by its moment over
   the stiffness of the four corners, spring and tyre in series. The strokes' share of the tilt is known.
 * **Starts, stops and turns** tilt the body by (specific force) x (mass x height): this gives the height. The
   wheels stay upright on the ground under a body that leans: their contacts go back by r d, which makes the
   springs stiffer by the robot's weight times r. What the motors spend on spinning up and on rolling presses
-  the tail down besides.
+  the tail down besides. And where the left wheels push and the right ones hold back, as they do in a turn and
+  for some metres after it, the tyres' side forces that answer them act in front at another height under a
+  pitched body than behind: their moment times the pitch is a moment about the roll axis.
 * **The ground's slope** tilts the body as well. Rough ground averages out with the distance; a steady slope
-  keeps its direction in the world, so it turns round under a robot that turns. And along x the tilt is in
-  the drive force too. What this leaves: ahead and the mass are known after some starts and stops, the side
-  only after a turn on ground of unknown cross slope, or on level ground. The standard deviations say it.
+  keeps its direction in the world, so it turns round under a robot that turns. And along x it is in the drive
+  force too. What this leaves: ahead and the mass are known after some starts and stops, the side only after a
+  turn on ground of unknown cross slope, or on level ground. The standard deviations say it.
 
-An extended Kalman filter on nine numbers, ten times a second: the payload's mass and its three first
+An extended Kalman filter on nine numbers, four times a second: the payload's mass and its three first
 moments, the ground's mean slope and its local deviation (each ahead and to the left), the rolling
 resistance. The local deviation forgets itself over a length of ground; how large it is, is measured on the
-way. At rest nothing is learned; a start with another tilt than the stop is another load, and all about the
-load is open again. A measurement beyond three standard deviations, a kerb, counts as one of three.
+way. Forces and motion are compared by their means from one reading of the currents to another: springs
+swing and speed loops settle in between, and the means do not care. At rest nothing is learned; a start with
+another tilt than the stop is another load, and all about the load is open again. A drive force that nothing
+explains is soft ground: its resistance is open. A measurement beyond three standard deviations, a kerb,
+counts as one of three.
 """
 
 from __future__ import annotations
@@ -52,7 +58,8 @@ STATES = 9
 UNKNOWN_M = 10.0
 """Standard deviation of a place that means nothing."""
 
-_UPDATE_S = 0.1
+_UPDATE_S = 0.2
+"""An update comes with the first reading of the currents after this time, or after twice as long."""
 _STANDS_M = 0.002
 """Wheels that turn no further in this time stand."""
 _MOST_SIGMAS = 3.0
@@ -81,6 +88,8 @@ class PayloadDesign:
     spin_kg: float
     """Spin inertia of the wheels over their radius squared."""
     radius_m: float
+    imu_height_m: float
+    """Above the ground."""
     turning_radps: float
     lag_s: float
     """Of the tilt behind the force: damping over stiffness."""
@@ -90,19 +99,30 @@ class PayloadDesign:
 
 
 @dataclass(frozen=True, slots=True)
-class Sums:
-    """What a tenth of a second gathers."""
+class Span:
+    """What is gathered from one update to the next: where it began, and sums over its samples."""
 
+    from_mps: float
+    """Speed of the wheels, pitch rate, and drive force when it began."""
+    from_radps: float
+    from_n: float
+    tells: bool
+    """It began with a reading of the currents, and the robot has rolled straight on since."""
     time_s: float = 0.0
     samples: int = 0
+    readings: int = 0
+    """Of the currents."""
     roll_rad: float = 0.0
     pitch_rad: float = 0.0
     posed_roll_rad: float = 0.0
     posed_pitch_rad: float = 0.0
     ahead_mps2: float = 0.0
-    left_mps2: float = 0.0
-    accel_mps2: float = 0.0
-    ahead: float = 0.0
+    """Of the accelerometer as it is, then as the tilt follows it."""
+    tilting_ahead_mps2: float = 0.0
+    tilting_left_mps2: float = 0.0
+    drive_n: float = 0.0
+    yaw_nm: float = 0.0
+    direction: float = 0.0
     """Samples that rolled ahead, less those that rolled back."""
     turned_rad: float = 0.0
     travelled_m: float = 0.0
@@ -124,17 +144,15 @@ class PayloadState:
 
     mean: Array
     covariance: Array
-    began: bool = False
-    ahead_mps2: float = 0.0
-    """f_x, a, and wheel speed as the currents are read."""
-    accel_mps2: float = 0.0
-    speed_mps: float = 0.0
+    span: Span | None = None
     tilting_mps2: tuple[float, float] = (0.0, 0.0)
     """f_x and f_y as the tilt follows them."""
-    sums: Sums = Sums()
+    drive_n: float = 0.0
+    """Last reading."""
+    yaw_nm: float = 0.0
     segment: Segment = Segment()
     stood: bool = True
-    """Nothing has moved in the last tenth of a second."""
+    """Nothing has moved up to the last update."""
 
 
 class Measured(NamedTuple):
@@ -148,13 +166,17 @@ class Measured(NamedTuple):
     ahead_mps2: float
     left_mps2: float
     """Specific force along the body's x and y axes."""
+    pitch_rate_radps: float
     yaw_rate_radps: float
     wheels_mps: float
     drive_n: float
     """Sum of the four motors' torques over the radius, where `fresh`."""
+    yaw_nm: float
+    """Moment to the right of the left wheels' forces and the right ones', where `fresh`."""
     fresh: bool
     """The currents are a new reading."""
-    gripping: bool
+    straight: bool
+    """The wheels neither slip nor turn the robot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,6 +219,7 @@ def design_payload(robot: RobotConfig) -> PayloadDesign:
         heave_npm=float(corner.sum()),
         spin_kg=4.0 * vehicle.tire.spin_inertia_kgm2 / radius**2,
         radius_m=radius,
+        imu_height_m=vehicle.body.com_height_m + vehicle.imu_offset_m[2],
         turning_radps=math.radians(config.turning_degps),
         lag_s=float((parameters.damper_nspm() / spring).mean()),
         mean=mean,
@@ -210,43 +233,48 @@ def initial_state(design: PayloadDesign) -> PayloadState:
 
 
 def step(design: PayloadDesign, state: PayloadState, now: Measured, dt: float) -> PayloadState:
-    """Advance by `dt` seconds: gather a sample, update with each reading of the currents and each 0.1 s."""
+    """Advance by `dt` seconds: gather a sample, and update when enough is gathered."""
     fx, fy = now.ahead_mps2, now.left_mps2
-    if state.began:
-        quick, slow = dt / (dt + _CURRENT_LAG_S), dt / (dt + design.lag_s)
-        ahead = state.ahead_mps2 + quick * (fx - state.ahead_mps2)
-        accel = state.accel_mps2 + quick * ((now.wheels_mps - state.speed_mps) / dt - state.accel_mps2)
-        before = state.tilting_mps2
-        tilting = before[0] + slow * (fx - before[0]), before[1] + slow * (fy - before[1])
-    else:
-        ahead, accel, tilting = fx, 0.0, (fx, fy)
-    mean, covariance = state.mean, state.covariance
-    if now.fresh and _tells(design, now, ahead - tilting[0]):
-        row, foretold = _driven(design, mean, now, tilting[0], accel)
-        variance = design.config.force_noise_mps2**2
-        mean, covariance = _corrected(mean, covariance, row, ahead - foretold, variance)
-    sums = state.sums
-    sums = Sums(
-        sums.time_s + dt,
-        sums.samples + 1,
-        sums.roll_rad + now.roll_rad,
-        sums.pitch_rad + now.pitch_rad,
-        sums.posed_roll_rad + now.posed_roll_rad,
-        sums.posed_pitch_rad + now.posed_pitch_rad,
-        sums.ahead_mps2 + tilting[0],
-        sums.left_mps2 + tilting[1],
-        sums.accel_mps2 + accel,
-        sums.ahead + _direction(design, now.wheels_mps),
-        sums.turned_rad + dt * now.yaw_rate_radps,
-        sums.travelled_m + dt * abs(now.wheels_mps),
+    begun, wheels_mps = state.span, now.wheels_mps
+    if begun is None:
+        span = Span(wheels_mps, now.pitch_rate_radps, 0.0, tells=False)
+        return PayloadState(state.mean, state.covariance, span, (fx, fy))
+    share = dt / (dt + design.lag_s)
+    ahead, left = state.tilting_mps2
+    ahead, left = ahead + share * (fx - ahead), left + share * (fy - left)
+    direction = 0.0
+    if abs(wheels_mps) > design.config.moving_mps:
+        direction = 1.0 if wheels_mps > 0.0 else -1.0
+    span = Span(
+        begun.from_mps,
+        begun.from_radps,
+        begun.from_n,
+        begun.tells and direction != 0.0 and now.straight,
+        begun.time_s + dt,
+        begun.samples + 1,
+        begun.readings + now.fresh,
+        begun.roll_rad + now.roll_rad,
+        begun.pitch_rad + now.pitch_rad,
+        begun.posed_roll_rad + now.posed_roll_rad,
+        begun.posed_pitch_rad + now.posed_pitch_rad,
+        begun.ahead_mps2 + fx,
+        begun.tilting_ahead_mps2 + ahead,
+        begun.tilting_left_mps2 + left,
+        begun.drive_n + state.drive_n,
+        begun.yaw_nm + state.yaw_nm,
+        begun.direction + direction,
+        begun.turned_rad + dt * now.yaw_rate_radps,
+        begun.travelled_m + dt * abs(wheels_mps),
     )
-    segment, stood = state.segment, state.stood
-    if sums.time_s >= _UPDATE_S:
-        stands = sums.travelled_m < _STANDS_M
+    drive_n, yaw_nm = (now.drive_n, now.yaw_nm) if now.fresh else (state.drive_n, state.yaw_nm)
+    mean, covariance, segment, stood = state.mean, state.covariance, state.segment, state.stood
+    if span.time_s >= (_UPDATE_S if now.fresh else 2.0 * _UPDATE_S):
+        stands = span.travelled_m < _STANDS_M
         if not stands or math.isnan(segment.travelled_m):
-            mean, covariance, segment = _updated(design, mean, covariance, segment, sums, stood)
-        sums, stood = Sums(), stands
-    return PayloadState(mean, covariance, True, ahead, accel, now.wheels_mps, tilting, sums, segment, stood)
+            means = _means(design, span, now, drive_n)
+            mean, covariance, segment = _updated(design, mean, covariance, segment, means, stood)
+        span, stood = Span(wheels_mps, now.pitch_rate_radps, drive_n, now.fresh), stands
+    return PayloadState(mean, covariance, span, (ahead, left), drive_n, yaw_nm, segment, stood)
 
 
 def payload(design: PayloadDesign, state: PayloadState) -> Payload:
@@ -281,6 +309,53 @@ _CURRENT_LAG_S = 0.02
 """A reading of the currents is so old when it arrives, or somewhat less."""
 
 
+class _Means(NamedTuple):
+    """A span's means, and what it adds up to."""
+
+    roll_rad: float
+    pitch_rad: float
+    posed_roll_rad: float
+    posed_pitch_rad: float
+    ahead_mps2: float
+    tilting_ahead_mps2: float
+    tilting_left_mps2: float
+    turn_radps2: float
+    """Acceleration of the pitch."""
+    spin_mps2: float
+    """Acceleration of the wheels' spin, at their circumference."""
+    drive_n: float
+    yaw_nm: float
+    direction: float
+    turned_rad: float
+    travelled_m: float
+    tells: bool
+    """The drive force tells of the mass."""
+
+
+def _means(design: PayloadDesign, span: Span, now: Measured, drive_n: float) -> _Means:
+    """A reading of the currents stands until the next one: its mean is that of half an interval before."""
+    n, time = float(span.samples), span.time_s
+    turn = (now.pitch_rate_radps - span.from_radps) / time
+    late = _CURRENT_LAG_S / time + 0.5 / max(1, span.readings)
+    return _Means(
+        span.roll_rad / n,
+        span.pitch_rad / n,
+        span.posed_roll_rad / n,
+        span.posed_pitch_rad / n,
+        span.ahead_mps2 / n,
+        span.tilting_ahead_mps2 / n,
+        span.tilting_left_mps2 / n,
+        turn,
+        (now.wheels_mps - span.from_mps) / time + design.radius_m * turn,  # wheels count from the body
+        span.drive_n / n + late * (drive_n - span.from_n),
+        span.yaw_nm / n,
+        span.direction / n,
+        span.turned_rad,
+        span.travelled_m,
+        span.tells and now.fresh,
+    )
+
+
 def _prior(config: LoadsConfig, rolling_resistance: float) -> Array:
     sigmas = np.zeros(STATES)
     sigmas[MASS] = config.payload_kg
@@ -294,18 +369,6 @@ def _prior(config: LoadsConfig, rolling_resistance: float) -> Array:
     return lies @ np.diag(sigmas**2) @ lies.T
 
 
-def _direction(design: PayloadDesign, speed_mps: float) -> float:
-    """1 rolling ahead, -1 back, 0 at rest."""
-    return math.copysign(1.0, speed_mps) if abs(speed_mps) > design.config.moving_mps else 0.0
-
-
-def _tells(design: PayloadDesign, now: Measured, changing_mps2: float) -> bool:
-    """Whether the drive forces say something of the mass: rolling steadily, straight on, without slip."""
-    config = design.config
-    steady = abs(now.wheels_mps) > config.moving_mps and abs(changing_mps2) < config.steady_mps2
-    return steady and now.gripping and abs(now.yaw_rate_radps) < design.turning_radps
-
-
 def _lever(design: PayloadDesign, mean: Array) -> tuple[float, float]:
     """Sum of mass x height above the ground in kg m, and how it grows with the payload's mass."""
     m, up = float(mean[MASS]), float(mean[UP])
@@ -314,51 +377,55 @@ def _lever(design: PayloadDesign, mean: Array) -> tuple[float, float]:
     return lever, design.com_height_m - sag * (design.body_kg + 2.0 * m)
 
 
-def _driven(
-    design: PayloadDesign,
-    mean: Array,
-    now: Measured,
-    tilting_mps2: float,
-    accel_mps2: float,
-) -> tuple[Array, float]:
-    """Foretell f_x from the drive force, and its derivatives (9,)."""
+def _driven(design: PayloadDesign, mean: Array, seen: _Means) -> tuple[Array, float]:
+    """Derivatives (9,) of the acceleration by load, ground and resistance; the drive force foretells it."""
     mass = design.empty_kg + float(mean[MASS])
-    ahead = math.copysign(1.0, now.wheels_mps)
-    pulled = (now.drive_n - design.spin_kg * accel_mps2) / mass
-    spent_nm = _spent_nm(design, mean, accel_mps2, ahead)
-    row, pitch = _pressed_forward(design, mean, tilting_mps2, now.posed_pitch_rad, spent_nm)
-    row *= -GRAVITY_MPS2
-    row[MASS] -= pulled / mass
-    row[ROLLING] = -GRAVITY_MPS2 * ahead
-    rolling = GRAVITY_MPS2 * ahead * float(mean[ROLLING])
-    return row, pulled - GRAVITY_MPS2 * (now.posed_pitch_rad + pitch) - rolling
+    pulled = (seen.drive_n - design.spin_kg * seen.spin_mps2) / mass
+    row = np.zeros(STATES)
+    row[MASS] = -pulled / mass
+    row[CLIMB] = row[CLIMB_HERE] = -GRAVITY_MPS2
+    row[ROLLING] = -GRAVITY_MPS2 * seen.direction
+    return row, pulled + float(row[CLIMB:] @ mean[CLIMB:])
+
+
+def _gained_mps2(design: PayloadDesign, mean: Array, seen: _Means) -> float:
+    """Acceleration of the centre of all masses along the body's x axis."""
+    height = _lever(design, mean)[0] / (design.empty_kg + float(mean[MASS]))
+    pitch = seen.pitch_rad + seen.posed_pitch_rad
+    at_imu = seen.ahead_mps2 + GRAVITY_MPS2 * math.sin(pitch)
+    return at_imu - (design.imu_height_m - height) * seen.turn_radps2
 
 
 def _updated(
-    design: PayloadDesign, mean: Array, covariance: Array, segment: Segment, sums: Sums, stood: bool
+    design: PayloadDesign, mean: Array, covariance: Array, segment: Segment, seen: _Means, stood: bool
 ) -> tuple[Array, Array, Segment]:
-    """Let the ground pass by, then compare the body's tilt against its wheels with what is foretold."""
-    config, n = design.config, float(sums.samples)
-    mean, covariance = _moved(config, mean, covariance, segment, sums)
-    fx, fy = sums.ahead_mps2 / n, sums.left_mps2 / n
-    pitch, roll = sums.pitch_rad / n, sums.roll_rad / n
+    """Let the ground pass by, then compare tilt against the wheels and acceleration with what is foretold."""
+    config = design.config
+    mean, covariance = _moved(config, mean, covariance, segment, seen.turned_rad, seen.travelled_m)
+    fx, fy = seen.tilting_ahead_mps2, seen.tilting_left_mps2
     variance = math.radians(config.attitude_noise_deg) ** 2
-    posed_pitch, posed_roll = sums.posed_pitch_rad / n, sums.posed_roll_rad / n
-    spent_nm = _spent_nm(design, mean, sums.accel_mps2 / n, sums.ahead / n)
-    along, foretold = _pitched(design, mean, fx, posed_pitch, spent_nm)
-    across, rolled = _rolled(design, mean, fy, posed_roll)
+    spent_nm = _spent_nm(design, mean, seen.spin_mps2, seen.direction)
+    along, foretold = _pitched(design, mean, fx, seen.posed_pitch_rad, spent_nm)
+    across, rolled = _rolled(design, mean, seen, spent_nm)
     if stood and (
-        _beyond(covariance, along, pitch - foretold, variance, config.changed_sigmas)
-        or _beyond(covariance, across, roll - rolled, variance, config.changed_sigmas)
+        _beyond(covariance, along, seen.pitch_rad - foretold, variance, config.changed_sigmas)
+        or _beyond(covariance, across, seen.roll_rad - rolled, variance, config.changed_sigmas)
     ):
         covariance = covariance + _open(design)
-    mean, covariance = _corrected(mean, covariance, along, pitch - foretold, variance)
-    across, rolled = _rolled(design, mean, fy, posed_roll)
-    mean, covariance = _corrected(mean, covariance, across, roll - rolled, variance)
+    mean, covariance = _corrected(mean, covariance, along, seen.pitch_rad - foretold, variance)
+    across, rolled = _rolled(design, mean, seen, spent_nm)
+    mean, covariance = _corrected(mean, covariance, across, seen.roll_rad - rolled, variance)
+    if seen.tells:
+        row, pulled = _driven(design, mean, seen)
+        off, variance = _gained_mps2(design, mean, seen) - pulled, config.force_noise_mps2**2
+        if _beyond(covariance, row, off, variance, config.changed_sigmas):
+            covariance = covariance + _open(design)
+            covariance[ROLLING, ROLLING] += config.soft_resistance**2
+        mean, covariance = _corrected(mean, covariance, row, off, variance)
     lever, _ = _lever(design, mean)
-    climb = -pitch - (fx * lever + spent_nm) / design.pitch_nmprad
-    rise = roll - fy * lever / design.roll_nmprad
-    return mean, covariance, _roughness(config, segment, sums.travelled_m, climb, rise)
+    climb = -seen.pitch_rad - (fx * lever + spent_nm) / design.pitch_nmprad
+    rise = seen.roll_rad - fy * lever / design.roll_nmprad
+    return mean, covariance, _roughness(config, segment, seen.travelled_m, climb, rise)
 
 
 def _pitched(
@@ -388,16 +455,19 @@ def _spent_nm(design: PayloadDesign, mean: Array, accel_mps2: float, ahead: floa
     return design.radius_m * (design.spin_kg * accel_mps2 + ahead * float(mean[ROLLING]) * weight)
 
 
-def _rolled(design: PayloadDesign, mean: Array, fy: float, posed_rad: float) -> tuple[Array, float]:
+def _rolled(design: PayloadDesign, mean: Array, seen: _Means, spent_nm: float) -> tuple[Array, float]:
     """Derivatives (9,) of the roll by ground and load, and the roll itself beside the strokes' own."""
+    fx, fy = seen.tilting_ahead_mps2, seen.tilting_left_mps2
     lever, per_kg = _lever(design, mean)
     upright = _upright(design, mean)
     give = 1.0 / (design.roll_nmprad + upright)
     row = np.zeros(STATES)
     row[RISE] = row[RISE_HERE] = 1.0
     row[LEFT], row[MASS], row[UP] = -GRAVITY_MPS2 * give, fy * per_kg * give, fy * give
-    rise = float(mean[RISE] + mean[RISE_HERE])
-    return row, rise + give * (fy * lever - GRAVITY_MPS2 * float(mean[LEFT]) - upright * posed_rad)
+    pitch = _pressed_forward(design, mean, fx, seen.posed_pitch_rad, spent_nm)[1] + seen.posed_pitch_rad
+    moment = fy * lever - GRAVITY_MPS2 * float(mean[LEFT])
+    moment -= upright * seen.posed_roll_rad + seen.yaw_nm * pitch
+    return row, float(mean[RISE] + mean[RISE_HERE]) + give * moment
 
 
 def _upright(design: PayloadDesign, mean: Array) -> float:
@@ -413,25 +483,32 @@ def _open(design: PayloadDesign) -> Array:
 
 
 def _moved(
-    config: LoadsConfig, mean: Array, covariance: Array, segment: Segment, sums: Sums
+    config: LoadsConfig,
+    mean: Array,
+    covariance: Array,
+    segment: Segment,
+    turned_rad: float,
+    travelled_m: float,
 ) -> tuple[Array, Array]:
     """New ground, seen from another heading."""
-    if sums.travelled_m == 0.0 == sums.turned_rad:
+    if travelled_m == 0.0 == turned_rad:
         return mean, covariance
-    cos, sin = math.cos(sums.turned_rad), math.sin(sums.turned_rad)
-    keep = math.exp(-sums.travelled_m / config.slope_length_m)
-    passed = np.eye(STATES)
+    cos, sin = math.cos(turned_rad), math.sin(turned_rad)
+    keep = math.exp(-travelled_m / config.slope_length_m)
+    passed = _SAME.copy()
     passed[CLIMB, CLIMB] = passed[RISE, RISE] = cos
     passed[CLIMB, RISE], passed[RISE, CLIMB] = sin, -sin
     passed[CLIMB_HERE, CLIMB_HERE] = passed[RISE_HERE, RISE_HERE] = keep
     covariance = passed @ covariance @ passed.T
-    drift = math.radians(config.slope_drift_deg) ** 2 * sums.travelled_m
-    covariance[CLIMB, CLIMB] += drift
-    covariance[RISE, RISE] += drift
+    drift = math.radians(config.slope_drift_deg) ** 2 * travelled_m
     new = segment.variance_rad2 * (1.0 - keep * keep)
-    covariance[CLIMB_HERE, CLIMB_HERE] += new
-    covariance[RISE_HERE, RISE_HERE] += new
+    for mean_slope, here in ((CLIMB, CLIMB_HERE), (RISE, RISE_HERE)):
+        covariance[mean_slope, mean_slope] += drift
+        covariance[here, here] += new
     return passed @ mean, covariance
+
+
+_SAME = np.eye(STATES)
 
 
 def _corrected(
@@ -441,9 +518,8 @@ def _corrected(
     toward = covariance @ row
     expected = float(row @ toward) + variance
     most = _MOST_SIGMAS * math.sqrt(expected)
-    return mean + min(most, max(-most, off)) / expected * toward, covariance - np.outer(
-        toward, toward / expected
-    )
+    gain = toward / expected
+    return mean + min(most, max(-most, off)) * gain, covariance - toward[:, None] * gain
 
 
 def _beyond(covariance: Array, row: Array, off: float, variance: float, sigmas: float) -> bool:

@@ -42,8 +42,12 @@ if TYPE_CHECKING:
     from tiger.record import Estimate, Four, Inputs, Three
 
 _SMOOTH_S = 0.05
+_PERIOD_S = 0.015
+"""A sample of the IMU that comes sooner after the last one is left out: fifty a second are enough."""
 _LONGEST_S = 0.1
 """Between two samples of the IMU; a longer gap counts as this."""
+_TURNING_SHARE = 0.1
+"""Of the bandwidth that corrects the tilt, in a turn: wheels that skid tell less of accelerations."""
 _FLAT = AidedTilt()
 
 
@@ -58,6 +62,7 @@ class LoadsDesign:
     wheels_kg: float
     inertia_kgm2: tuple[float, float]
     """Of the empty body, roll and pitch."""
+    half_track_m: float
     corner_npm: float
     """Spring and tyre in series."""
     noise_n: float
@@ -97,6 +102,7 @@ def design_loads(robot: RobotConfig) -> LoadsDesign:
         shares=(a, b, c, d),
         wheels_kg=float(parameters.wheel_mass_kg().sum()),
         inertia_kgm2=(parameters.roll_inertia_kgm2, parameters.pitch_inertia_kgm2),
+        half_track_m=vehicle.body.half_track_m,
         corner_npm=spring * tyre / (spring + tyre),
         noise_n=robot.loads.load_noise_n,
     )
@@ -111,38 +117,45 @@ def initial_state(design: LoadsDesign) -> LoadsState:
 def step(
     design: LoadsDesign, state: LoadsState, inputs: Inputs, estimate: Estimate, dt: float
 ) -> tuple[LoadsState, Loads]:
-    """Advance with each new sample of the IMU; `dt` is the time that the first one stands for.
+    """Advance with every other sample of the IMU; `dt` is the time that the first one stands for.
 
     `estimate` has attitude and odometry of this tick, and the loads of the last one with the ground's warp.
     """
     imu, strokes = inputs.imu, inputs.strokes
     if imu is None or strokes is None:
         return state, design.empty
-    if imu.t_s <= state.imu_t_s:
+    if imu.t_s < state.imu_t_s + _PERIOD_S:
         return state, estimate.loads
     if state.imu_t_s > -math.inf:
         dt = min(_LONGEST_S, imu.t_s - state.imu_t_s)
-    force = tilt_aiding.specific_force_mps2(imu)
-    wheels_mps = _wheels_mps(design, inputs)
+    force, rate = tilt_aiding.specific_force_mps2(imu), imu.rate_radps
+    wheels_mps, wheels_radps = _wheels(design, inputs)
     slipping = True in estimate.odometry.slipping
-    bandwidth = design.payload.config.tilt_bandwidth_radps
-    tilt = tilt_aiding.step(state.tilt, force, imu.rate_radps, wheels_mps, slipping, bandwidth, dt)
+    turning = max(abs(rate[2]), abs(wheels_radps)) > design.payload.turning_radps
+    bandwidth = design.payload.config.tilt_bandwidth_radps * (_TURNING_SHARE if turning else 1.0)
+    # A body that pitches carries its accelerometer ahead of the wheels, which stay on the ground.
+    imu_mps = wheels_mps + design.payload.imu_height_m * rate[1]
+    tilt = tilt_aiding.step(state.tilt, force, rate, imu_mps, slipping, bandwidth, dt)
     current_a, left_read, right_read = _read(state, inputs)
     fresh = left_read and right_read
-    fl, fr, rl, rr = (design.payload.suspension.curve.at(stroke)[0] for stroke in strokes.stroke_mm)
-    posed = design.payload.suspension.pose((fl, fr, rl, rr))
+    drive_n, yaw_nm = _driving(design, inputs) if fresh else (0.0, 0.0)
+    at = design.payload.suspension.curve.at
+    fl, fr, rl, rr = strokes.stroke_mm
+    posed = design.payload.suspension.pose((at(fl)[0], at(fr)[0], at(rl)[0], at(rr)[0]))
     measured = Measured(
-        roll_rad=tilt.roll_rad - posed.roll_rad,
-        pitch_rad=tilt.pitch_rad - posed.pitch_rad,
-        posed_roll_rad=posed.roll_rad,
-        posed_pitch_rad=posed.pitch_rad,
-        ahead_mps2=force[0],
-        left_mps2=force[1],
-        yaw_rate_radps=imu.rate_radps[2],
-        wheels_mps=wheels_mps,
-        drive_n=sum(traction.measured(inputs)[1]) / design.payload.radius_m if fresh else 0.0,
-        fresh=fresh,
-        gripping=not slipping,
+        tilt.roll_rad - posed.roll_rad,
+        tilt.pitch_rad - posed.pitch_rad,
+        posed.roll_rad,
+        posed.pitch_rad,
+        force[0],
+        force[1],
+        rate[1],
+        rate[2],
+        wheels_mps,
+        drive_n,
+        yaw_nm,
+        fresh,
+        straight=not (slipping or turning),
     )
     carrying = payload.step(design.payload, state.payload, measured, dt)
     load = state.load
@@ -152,18 +165,31 @@ def step(
     (fx, fy, fz), (p, q) = state.force_mps2, state.turn_radps2
     turn = imu.angular_accel_radps2
     smooth = fx + share * (force[0] - fx), fy + share * (force[1] - fy), fz + share * (force[2] - fz)
-    turning = p + share * (turn[0] - p), q + share * (turn[1] - q)
+    swing = p + share * (turn[0] - p), q + share * (turn[1] - q)
     read = (False, False) if fresh else (left_read, right_read)
-    after = LoadsState(carrying, load, tilt, smooth, turning, current_a, read, imu.t_s)
+    after = LoadsState(carrying, load, tilt, smooth, swing, current_a, read, imu.t_s)
     return after, _loads(design, after, estimate.loads, posed)
 
 
-def _wheels_mps(design: LoadsDesign, inputs: Inputs) -> float:
-    """Mean speed of the four wheels' circumference, on the sensors of mega_speed where there are any."""
+def _wheels(design: LoadsDesign, inputs: Inputs) -> tuple[float, float]:
+    """Mean speed of the four wheels' circumference, and the yaw rate at which they would turn the robot.
+
+    By the sensors of mega_speed, where there are any.
+    """
     left, right = inputs.wheels_left, inputs.wheels_right
     if left is None or right is None:
-        return 0.25 * design.payload.radius_m * sum(traction.measured(inputs)[0])
-    return 0.25 * design.payload.radius_m * (sum(left.speed_radps) + sum(right.speed_radps))
+        fl, fr, rl, rr = traction.measured(inputs)[0]
+    else:
+        (fl, rl), (fr, rr) = left.speed_radps, right.speed_radps
+    left_mps, right_mps = 0.5 * design.payload.radius_m * (fl + rl), 0.5 * design.payload.radius_m * (fr + rr)
+    return 0.5 * (left_mps + right_mps), 0.5 * (right_mps - left_mps) / design.half_track_m
+
+
+def _driving(design: LoadsDesign, inputs: Inputs) -> tuple[float, float]:
+    """Force of the four motors, and the moment to the right of the left ones against the right ones."""
+    fl, fr, rl, rr = traction.measured(inputs)[1]
+    radius = design.payload.radius_m
+    return (fl + fr + rl + rr) / radius, (fl + rl - fr - rr) * design.half_track_m / radius
 
 
 def _read(state: LoadsState, inputs: Inputs) -> tuple[Four, bool, bool]:

@@ -12,7 +12,7 @@ from tiger.config.robot import load_robot
 from tiger.config.vehicle import PayloadConfig
 from tiger.emulation.scenarios import RoughConfig, Scenario, Start, TerrainConfig
 from tiger.estimation import payload, wheel_loads
-from tiger.estimation.payload import MASS, STATES, UNKNOWN_M
+from tiger.estimation.payload import MASS, ROLLING, STATES, UNKNOWN_M
 from tiger.record import Estimate, Inputs, Loads
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 ROBOT = load_robot(None)
 DESIGN = wheel_loads.design_loads(ROBOT)
 LEG_S = 5.0
+G = 9.80665
 
 
 class Case(NamedTuple):
@@ -45,19 +46,25 @@ def case(seed: int, mass_kg: float = 20.0) -> Case:
     return Case((x, y, z), mass_kg, terrain, float(random.uniform(-180.0, 180.0)))
 
 
-def course(time_s: float) -> tuple[float, float]:
-    """Start, roll, stop, every five seconds for half a minute; a quarter turn on the way."""
+def half_turn(time_s: float) -> tuple[float, float]:
+    """Start, roll, stop, every five seconds for half a minute; four legs are arcs, half a turn in all."""
     phase = (time_s - 1.0) % LEG_S
     speed = max(0.0, min(phase, 1.0, 4.0 - phase)) if time_s >= 1.0 else 0.0
-    turning = 11.0 <= time_s < 21.0 and 0.8 < phase < 3.2
+    turning = 6.0 <= time_s < 26.0 and 0.8 < phase < 3.2
     return speed, 0.8 if turning else 0.0
+
+
+def quarter_turn(time_s: float) -> tuple[float, float]:
+    """The same with two arcs."""
+    speed, yaw_rate = half_turn(time_s)
+    return speed, yaw_rate if 11.0 <= time_s < 21.0 else 0.0
 
 
 def driven(
     roll: Roll,
     of: Case,
     seed: int,
-    along: Callable[[float], tuple[float, float]] = course,
+    along: Callable[[float], tuple[float, float]] = half_turn,
     for_s: float = 31.0,
 ) -> Loads:
     """What is said of the load after the drive."""
@@ -80,11 +87,11 @@ def driven(
 def test_a_load_is_found_within_thirty_seconds_of_driving(roll: Roll, seed: int) -> None:
     of = case(seed)
     said = driven(roll, of, seed)
-    assert said.payload_kg == pytest.approx(20.0, abs=4.0)  # the bar is 2: docs/loads.md
+    assert said.payload_kg == pytest.approx(20.0, abs=3.0)  # the bar, of twenty: below
     off = np.abs(np.subtract(said.payload_m, of.place_m))
     assert off[0] < 0.05
-    assert off[1] < 0.08  # the bar is 0.05
-    assert off[2] < 0.12
+    assert off[1] < 0.05
+    assert off[2] < 0.1
     assert said.mass_kg == pytest.approx(DESIGN.payload.empty_kg + said.payload_kg)
     share = said.payload_kg / (DESIGN.payload.body_kg + said.payload_kg)
     np.testing.assert_allclose(said.com_m, np.multiply(share, said.payload_m), atol=1e-9)
@@ -100,7 +107,7 @@ def test_without_a_turn_the_side_stays_open_and_the_deviation_says_so(roll: Roll
     """A steady cross slope and a load to one side tilt the body alike."""
 
     def straight(time_s: float) -> tuple[float, float]:
-        return course(time_s)[0], 0.0
+        return half_turn(time_s)[0], 0.0
 
     of = case(5)
     said = driven(roll, of, 5, straight)
@@ -111,32 +118,51 @@ def test_without_a_turn_the_side_stays_open_and_the_deviation_says_so(roll: Roll
 
 @pytest.mark.proof
 @pytest.mark.timeout(900)
+@pytest.mark.parametrize(("along", "to_the_side"), [(half_turn, 20), (quarter_turn, 18)])
 def test_twenty_loads_anywhere_on_the_deck(
-    roll: Roll, record_figure: Callable[[str, object, str], None]
+    roll: Roll,
+    record_figure: Callable[[str, object, str], None],
+    along: Callable[[float], tuple[float, float]],
+    to_the_side: int,
 ) -> None:
-    """Classes A to C, slopes of 1.5 degrees, a quarter turn in half a minute of starts and stops."""
+    """Classes A to C, slopes of 1.5 degrees, half a minute of starts and stops with half a turn on the way.
+
+    With a quarter of a turn a load to one side is told from a slope to the side less well.
+    """
     errors = []
     for seed in range(20, 40):
         of = case(seed)
-        said = driven(roll, of, seed)
+        said = driven(roll, of, seed, along)
         errors.append([said.payload_kg - 20.0, *np.subtract(said.payload_m, of.place_m)])
     mass, x, y, z = np.abs(errors).T
-    record_figure("payload's mass off, RMS", f"{np.sqrt(np.mean(mass**2)):.2f} kg", "")
-    record_figure("payloads of 20 kg found within 10 %, of 20", int((mass <= 2.0).sum()), "20")
-    record_figure("payloads placed within 5 cm ahead, of 20", int((x <= 0.05).sum()), "20")
-    record_figure("payloads placed within 5 cm to the side, of 20", int((y <= 0.05).sum()), "20")
-    record_figure("payload's height off, RMS", f"{100.0 * np.sqrt(np.mean(z**2)):.1f} cm", "")
-    assert np.sqrt(np.mean(mass**2)) < 2.5
-    assert (x <= 0.05).sum() >= 18
-    assert (y <= 0.05).sum() >= 16
+    drive = along.__name__.replace("_", " ")
+    record_figure(f"payload's mass off, RMS ({drive})", f"{np.sqrt(np.mean(mass**2)):.2f} kg", "")
+    record_figure(f"payloads of 20 kg found within 10 %, of 20 ({drive})", int((mass <= 2.0).sum()), "20")
+    record_figure(f"payloads placed within 5 cm ahead, of 20 ({drive})", int((x <= 0.05).sum()), "20")
+    record_figure(f"payloads placed within 5 cm to the side, of 20 ({drive})", int((y <= 0.05).sum()), "20")
+    record_figure(f"payload's height off, RMS ({drive})", f"{100.0 * np.sqrt(np.mean(z**2)):.1f} cm", "")
+    assert (mass <= 2.0).sum() == 20
+    assert (x <= 0.05).sum() == 20
+    assert (y <= 0.05).sum() >= to_the_side
 
 
 # ---- without a vehicle ----------------------------------------
 
 
 def measured(**changes: Any) -> payload.Measured:
-    still = payload.Measured(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, fresh=False, gripping=True)
+    still = payload.Measured(*[0.0] * 11, fresh=False, straight=True)
     return still._replace(**changes)
+
+
+def seen_with(**changes: float) -> payload._Means:
+    nothing = payload._Means(*[0.0] * 14, tells=True)
+    return nothing._replace(**changes)  # type: ignore[arg-type]
+
+
+def slopes(of: Callable[[np.ndarray], float], mean: np.ndarray) -> np.ndarray:
+    """Derivatives (9,) by differences."""
+    steps = 1e-4 * np.eye(STATES)
+    return np.array([(of(mean + step) - of(mean - step)) / 2e-4 for step in steps])
 
 
 def fed(state: payload.PayloadState, seconds: float, **changes: Any) -> payload.PayloadState:
@@ -191,15 +217,76 @@ def test_the_covariance_stays_one() -> None:
 
 
 def test_the_foretold_force_has_the_derivatives_it_claims() -> None:
-    design, now = DESIGN.payload, measured(wheels_mps=0.7, drive_n=90.0, posed_pitch_rad=0.01)
+    design, seen = DESIGN.payload, seen_with(drive_n=90.0, spin_mps2=0.5, direction=1.0)
     mean = np.array([15.0, 3.0, -2.0, 4.0, 0.02, 0.01, 0.005, 0.0, 0.02])
-    row, value = payload._driven(design, mean, now, 0.6, 0.5)
-    for index in (MASS, 1, 3, 8):
-        step = 1e-4
-        moved = mean.copy()
-        moved[index] += step
-        slope = (payload._driven(design, moved, now, 0.6, 0.5)[1] - value) / step
-        assert row[index] == pytest.approx(slope, rel=0.15, abs=2e-3)
+    row, value = payload._driven(design, mean, seen)
+    np.testing.assert_allclose(row, slopes(lambda of: payload._driven(design, of, seen)[1], mean), atol=1e-6)
+    assert value == pytest.approx((90.0 - design.spin_kg * 0.5) / 94.9 - G * (0.025 + 0.02), abs=1e-3)
+
+
+def test_the_foretold_roll_has_the_derivatives_it_claims() -> None:
+    design, seen = DESIGN.payload, seen_with(tilting_left_mps2=0.6)
+    mean = np.array([15.0, 3.0, -2.0, 4.0, 0.02, 0.01, 0.005, 0.0, 0.02])
+    row, _ = payload._rolled(design, mean, seen, 0.0)
+    measured_slopes = slopes(lambda of: payload._rolled(design, of, seen, 0.0)[1], mean)
+    np.testing.assert_allclose(row[1:], measured_slopes[1:], atol=1e-6)
+    assert row[MASS] == pytest.approx(
+        measured_slopes[MASS], rel=0.5
+    )  # springs that weight makes stiffer apart
+
+
+def test_side_forces_that_answer_the_motors_lean_a_pitched_body() -> None:
+    """-30 Nm of yaw moment under 3 degrees of pitch: 1.6 Nm about the roll axis."""
+    design, mean = DESIGN.payload, np.zeros(STATES)
+    leant = payload._rolled(design, mean, seen_with(yaw_nm=-30.0, posed_pitch_rad=0.0524), 0.0)[1]
+    straight = payload._rolled(design, mean, seen_with(posed_pitch_rad=0.0524), 0.0)[1]
+    pitch = 0.0524 * (
+        1.0 - payload._upright(design, mean) / (design.pitch_nmprad + payload._upright(design, mean))
+    )
+    assert leant - straight == pytest.approx(
+        30.0 * pitch / (design.roll_nmprad + payload._upright(design, mean)), rel=1e-6
+    )
+
+
+def test_a_pitching_body_does_not_count_as_gaining_speed() -> None:
+    """The accelerometer sits above the centre of all masses and is carried ahead of it."""
+    design, mean = DESIGN.payload, np.zeros(STATES)
+    swinging = seen_with(ahead_mps2=design.imu_height_m * 2.0, turn_radps2=2.0)
+    height = design.lever_kgm / design.empty_kg
+    assert payload._gained_mps2(design, mean, swinging) == pytest.approx(2.0 * height)
+    uphill = seen_with(ahead_mps2=G * np.sin(0.1), pitch_rad=-0.06, posed_pitch_rad=-0.04)
+    assert payload._gained_mps2(design, mean, uphill) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_drive_force_that_nothing_explains_opens_the_resistance_of_the_ground() -> None:
+    """100 N more, with the same gain of speed for the same gain of force: sand, not a load."""
+    design = DESIGN.payload
+
+    def surging(state: payload.PayloadState, resistance_n: float) -> payload.PayloadState:
+        """Half a minute of 0.5 m/s2 to and fro, the body on its springs as statics have it."""
+        for index in range(1500):
+            accel = 0.5 if index // 50 % 2 == 0 else -0.5
+            drive_n = resistance_n + (design.empty_kg + design.spin_kg) * accel
+            level = payload._pressed_forward(design, np.zeros(STATES), accel, 0.0, drive_n * design.radius_m)[
+                1
+            ]
+            now = measured(
+                wheels_mps=0.5 + 0.02 * accel * (index % 50),
+                ahead_mps2=accel - G * np.sin(level),
+                pitch_rad=level,
+                drive_n=drive_n,
+                fresh=index % 4 == 0,
+            )
+            state = payload.step(design, state, now, 0.02)
+        return state
+
+    rolling_n = 0.02 * G * design.empty_kg
+    firm = surging(payload.initial_state(design), rolling_n)
+    assert firm.mean[ROLLING] == pytest.approx(0.02, abs=0.006)
+    assert abs(firm.mean[MASS]) < 4.0
+    soft = surging(firm, rolling_n + 100.0)
+    assert soft.mean[ROLLING] > 0.1
+    assert abs(soft.mean[MASS]) < 12.0
 
 
 def test_a_place_means_nothing_without_a_load() -> None:
