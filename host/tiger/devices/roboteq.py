@@ -145,10 +145,11 @@ _QUERIES = {
         _Query("MXRPM", (2,), 10, RPM_LIMIT),
     )
 }
-# One of these follows the speeds in each cycle; the fault flags come every other time. The watchdog is among
-# them because a controller that lost power for a moment, unnoticed, is back at the one it came with.
+# One of these follows the speeds in each cycle: fault flags every other time, motor currents every fourth, as
+# the load and the wheels' forces are told from them. The watchdog is among the rest, twice, because a
+# controller that lost power for a moment, unnoticed, is back at the one it came with.
 _SLOW_QUERIES = tuple(
-    line for slow in ("?A", "?BA", "?V", "?FS", "?FM", "?T", "~RWD") for line in ("?FF", slow)
+    line for slow in ("?V", "~RWD", "?FM", "?BA", "~RWD", "?FS", "?T") for line in ("?FF", "?A", "?FF", slow)
 )
 _NUMBER = rb"(?:0|-?[1-9][0-9]{0,4})"  # as the controller writes it: no leading zero, no minus zero
 _ANSWER = re.compile(rb"([A-Z]{1,5})=(%b(?::%b){0,3})" % (_NUMBER, _NUMBER))
