@@ -52,12 +52,12 @@ class ObserverDesign:
     period_s: float
     transition: Array
     """A of one tick (n, n)."""
-    from_force: Array
-    """B of one tick (n, 4)."""
     output: Array
     """C (p, n)."""
     feedthrough: Array
     """D (p, 4)."""
+    tick: Array
+    """(n + p, n + 4): next state and its outputs from state and seat forces, in one product."""
     corrections: tuple[Array, ...]
     """For a sample j ticks old, (n + p j, p): what its innovation adds to the state and to j predictions."""
     at_rest: Array
@@ -86,7 +86,7 @@ def design_observer(robot: RobotConfig) -> ObserverDesign:
     model = _augmented(parameters, robot.vehicle.imu_offset_m[:2])
     sampled = model.discretise(period)
     forces, roads = range(4), range(4, 8)
-    transition, from_force = sampled.a, sampled.b[:, list(forces)]
+    transition, from_force, feedthrough = sampled.a, sampled.b[:, list(forces)], sampled.d[:, list(forces)]
 
     ticks = max(1, round(robot.loop.rate_hz / noise.imu_rate_hz))
     process = _process_noise(robot, sampled.b[:, list(roads)])
@@ -115,9 +115,11 @@ def design_observer(robot: RobotConfig) -> ObserverDesign:
     return ObserverDesign(
         period_s=period,
         transition=transition,
-        from_force=from_force,
         output=sampled.c,
-        feedthrough=sampled.d[:, :4],
+        feedthrough=feedthrough,
+        tick=np.block(
+            [[transition, from_force], [sampled.c @ transition, sampled.c @ from_force + feedthrough]]
+        ),
         corrections=tuple(corrections),
         at_rest=at_rest,
         spring_npm=parameters.spring_npm(),
@@ -161,9 +163,13 @@ def step(
     force = design.spring_npm * lift_m + design.damper_nspm * lift_rate_mps
     if not state.ready:
         return _first(design, state, force, sample, tilt_error_rad)
-    x = design.transition @ state.x + design.from_force @ force
+    n = len(state.x)
+    known = np.empty(n + len(force))
+    known[:n], known[n:] = state.x, force
+    after = design.tick @ known
+    x = after[:n]
     predicted = np.empty(state.predicted.shape)  # empty_like takes three times as long
-    predicted[0] = design.output @ x + design.feedthrough @ force
+    predicted[0] = after[n:]
     predicted[1:] = state.predicted[:-1]
     innovation: tuple[float, ...] = ()
     if sample is not None:
@@ -171,7 +177,6 @@ def step(
         if ticks < len(design.corrections):
             difference = _measured(sample, tilt_error_rad) - predicted[ticks]
             correction = design.corrections[ticks] @ difference
-            n = len(x)
             x = x + correction[:n]
             if ticks:
                 predicted[:ticks] += correction[n:].reshape(ticks, -1)

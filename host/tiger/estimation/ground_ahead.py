@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_SPEEDS = 24
+_SPEEDS = 61
 _LOOKS = 8
 """Points in time whose mean is that over the moments ahead."""
 _ANY_SLOPE = 1e3
@@ -148,9 +148,7 @@ def step(design: AheadDesign, state: AheadState, estimate: Estimate) -> AheadSta
     bend = abs(math.remainder(where.yaw_rad - state.yaw_rad, math.tau))
     known = max(0.0, known - design.fade_per_rad * bend)
     known += (1.0 - known) * design.settle
-    at = min(speed / design.speed_step_mps, _SPEEDS - 1.001)
-    low = int(at)
-    weights = design.table[low] + (at - low) * (design.table[low + 1] - design.table[low])
+    weights = design.table[min(round(speed / design.speed_step_mps), _SPEEDS - 1)]
     (roll, roll_later), (pitch, pitch_later) = (weights @ slopes[:, :, None])[..., 0].tolist()
     turn_rad = roll, roll_later, pitch, pitch_later
     return AheadState(slopes, turn_rad, known, where.distance_m - over_m, where.yaw_rad, forwards)

@@ -38,8 +38,11 @@ class TiltError:
 
 def step(config: ObserverConfig, error: TiltError, sample: ImuSample, odometry: OdometryState) -> TiltError:
     """Follow the difference at a sample that both have, no faster than the Nano can go astray."""
-    dt, paired = sample.t_s - error.t_s, sample.t_s == odometry.imu_t_s
-    if dt <= 0.0 or (not paired and dt < PAIRED_WITHIN_S):
+    dt = sample.t_s - error.t_s
+    if dt <= 0.0:
+        return error
+    paired = sample.t_s == odometry.imu_t_s
+    if not paired and dt < PAIRED_WITHIN_S:
         return error
     dt, held = min(dt, PAIRED_WITHIN_S), odometry.held
     known = paired and sample.t_s - held.imu_t_s < HELD_WITHIN_S

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -12,7 +13,9 @@ from hypothesis import strategies as st
 from tiger.config.robot import load_robot
 from tiger.control import attitude
 from tiger.control.attitude import LevelingState, Target, design_leveling
+from tiger.control.rate_limited import in_rhombus
 from tiger.control.reachable import Pose
+from tiger.frozen import replace
 from tiger.record import STILL
 
 if TYPE_CHECKING:
@@ -220,3 +223,44 @@ def test_at_limit_names_the_corners_at_their_end() -> None:
     low, high = ROBOT.stroke_range_mm
     _, decision = attitude.step(DESIGN, LevelingState(), None, (low, 35.0, high, low + 1.0), DT)
     assert decision.at_limit == (True, False, True, False)
+
+
+# ---- two axes, one speed ------------------------------------
+
+
+@given(roll=st.floats(-0.2, 0.2), pitch=st.floats(-0.2, 0.2), share=st.floats(0.1, 1.0))
+def test_rates_beyond_the_actuators_become_the_nearest_that_they_have(
+    roll: float, pitch: float, share: float
+) -> None:
+    wanted = Pose(roll, pitch, 3.0, 2.0)
+    got = attitude._nearest(DESIGN, wanted, share)
+    limits = tuple(share * limit for limit in DESIGN.turn_limits_radps)
+    assert (got.roll_rad, got.pitch_rad) == pytest.approx(
+        in_rhombus(np.array([[roll, pitch]]), limits)[0], abs=1e-12
+    )
+    assert (got.ride_mm, got.warp_mm) == (3.0, 2.0)
+
+
+# ---- rolling ------------------------------------------------
+
+
+@given(roll=st.floats(-0.25, 0.25), pitch=st.floats(-0.25, 0.25))
+def test_a_rolling_robot_leaves_no_error_to_rest_and_a_standing_one_does(roll: float, pitch: float) -> None:
+    assume(max(abs(roll), abs(pitch)) > 0.01)
+    target = level_target(roll, pitch)
+    _, _, commands = follow(target, 0.5)
+    assert all(command == STILL for command in commands)
+    decision, _, _ = follow(replace(target, rolling=True), 2.0)
+    assert max(map(abs, decision.error_rad)) < math.radians(0.005)
+
+
+def test_a_robot_that_has_stopped_rests_after_the_still_time() -> None:
+    target = level_target(0.2)
+    state, commands = LevelingState(), []
+    for tick in range(600):
+        now = replace(target, rolling=True) if tick < 200 else level_target(0.0)
+        state, decision = attitude.step(DESIGN, state, now, MID, DT)
+        commands.append(decision.command_mmps)
+    assert commands[199] != STILL
+    assert commands[-1] == STILL
+    assert not state.phase.moving
