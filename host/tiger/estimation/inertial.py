@@ -9,14 +9,14 @@ the speed of the IMU's place ahead (u) and to the left (v) in body axes (docs/od
 
 w follows from the ground the wheels stand on. The error of each, of the three gyro biases, two accelerometer
 offsets, the wheels' scale, Earth's field in the plane and the hard iron on board make 17 error states. Their
-covariance is carried forward every 20 ms by the linearised equations (Sola, Quaternion kinematics for the
+covariance is carried forward every 40 ms by the linearised equations (Sola, Quaternion kinematics for the
 error-state Kalman filter, 2017, sections 5.3 and 6.1), and all that is measured then is taken in at once.
 """
 
 from __future__ import annotations
 
 from dataclasses import field
-from math import cos, radians, sin
+from math import cos, inf, radians, sin
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -158,15 +158,19 @@ def spread(covariance: Array, motion: Motion, noise: Noise, dt: float) -> Array:
             *(-dt, -dt, -dt, -dt, -dt, g, r, -v, -g, -r, u, -r, r),
         ),
     )
-    return step.dot(covariance).dot(step.T) + noise.per_second * dt
+    return np.asarray(step.dot(covariance).dot(step.T) + noise.per_second * dt)
 
 
 class Measurement(NamedTuple):
-    """A scalar: its row of H as {error: factor}, what it differs by from the nominal, its own variance."""
+    """A scalar: its row of H as {error: factor}, what it differs by from the nominal, its own variance.
+
+    Further off than `gate_sigmas` of what was expected, it and all that have a gate are left out.
+    """
 
     row: dict[int, float]
     innovation: float
     variance: float
+    gate_sigmas: float = inf
 
 
 def correct(covariance: Array, measured: Sequence[Measurement]) -> tuple[Array, Array]:
@@ -174,24 +178,6 @@ def correct(covariance: Array, measured: Sequence[Measurement]) -> tuple[Array, 
 
     Returns the errors found, (N,), and their covariance afterwards, (N, N).
     """
-    across, of_innovation = _innovation(covariance, measured)
-    _, gain, _ = dposv(of_innovation, across.T)  # S^-1 H P, the gain transposed
-    innovation = np.array([scalar.innovation for scalar in measured])
-    return innovation.dot(gain), covariance - across.dot(gain)
-
-
-def surprising(covariance: Array, measured: Sequence[Measurement], sigmas: float) -> bool:
-    """Tell whether any scalar is further off than so many sigmas of what was expected."""
-    _, of_innovation = _innovation(covariance, measured)
-    expected = of_innovation.diagonal().tolist()
-    return any(
-        scalar.innovation**2 > sigmas**2 * variance
-        for scalar, variance in zip(measured, expected, strict=True)
-    )
-
-
-def _innovation(covariance: Array, measured: Sequence[Measurement]) -> tuple[Array, Array]:
-    """P H' (N, m) and the covariance of the innovation S = H P H' + R (m, m)."""
     rows = np.zeros((len(measured), N))
     for index, scalar in enumerate(measured):
         for error, factor in scalar.row.items():
@@ -199,8 +185,12 @@ def _innovation(covariance: Array, measured: Sequence[Measurement]) -> tuple[Arr
     across = covariance.dot(rows.T)
     of_innovation = rows.dot(across)
     for index, scalar in enumerate(measured):
-        of_innovation[index, index] += scalar.variance
-    return across, of_innovation
+        variance = of_innovation[index, index] = of_innovation[index, index] + scalar.variance
+        if scalar.innovation**2 > scalar.gate_sigmas**2 * variance:
+            return correct(covariance, [scalar for scalar in measured if scalar.gate_sigmas == inf])
+    _, gain, _ = dposv(of_innovation, across.T)  # S^-1 H P, the gain transposed
+    innovation = np.array([scalar.innovation for scalar in measured])
+    return innovation.dot(gain), np.asarray(covariance - across.dot(gain))
 
 
 def put_right(motion: Motion, errors: Array) -> Motion:

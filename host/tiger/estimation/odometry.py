@@ -43,14 +43,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from tiger.config.robot import OdometryConfig, RobotConfig
-    from tiger.record import Estimate, Four, ImuRawSample, Inputs, Three, WheelSample
+    from tiger.record import Estimate, Four, ImuRawSample, Inputs, StrokeSample, Three, WheelSample
 
     Array = NDArray[np.float64]
 
-Stands = tuple[list[Measurement], float]
 Six = tuple[float, float, float, float, float, float]
 
-CORRECT_EVERY_S = 0.02
+LOOK_EVERY_S = 0.02
+"""Between two looks at which wheels slip; sigmas are those of a measurement this often."""
+CORRECT_EVERY_S = 0.04
 STANDING_EVERY_S = 0.1
 """Between two corrections, while the robot moves and while it stands."""
 HALF_A_SAMPLE_S = 0.005
@@ -74,7 +75,7 @@ class OdometryDesign:
     track_offset_m: float  # measured at half the stroke, less what the mechanism's drawing says
 
     def half_track_at(self, stroke_mm: float) -> float:
-        """Half the track at one wheel in m: the vehicle's at half its stroke, and how the mechanism changes it."""
+        """Half the track at a wheel in m: the vehicle's at half its stroke, changed by the mechanism."""
         return half_track_m(self.drive, stroke_mm) + self.track_offset_m
 
 
@@ -92,10 +93,8 @@ class Held:
     """What a correction leaves to the next."""
 
     covariance: Array = field(default_factory=lambda: np.zeros((N, N)))
-    slip: SlipState = field(default_factory=SlipState)
     imu_t_s: float = -np.inf  # of the sample that was corrected
     yaw_rad: float = 0.0
-    wheel_t_s: float = -np.inf
     stood_s: float = 0.0
     turning_s: float = 0.0  # for how long it has seemed to turn although it stands
     magnetic: Magnetic = field(default_factory=Magnetic)
@@ -113,6 +112,9 @@ class OdometryState:
     side_push_mps2: float = 0.0
     distance_m: float = 0.0
     held: Held = field(default_factory=Held)
+    slip: SlipState = field(default_factory=SlipState)
+    looked_t_s: float = -np.inf  # IMU sample of the last look at the wheels ...
+    wheel_t_s: float = -np.inf  # ... and theirs
     begun: bool = False
 
 
@@ -145,8 +147,8 @@ def step(
         return _begun(design, raw), Odometry()
     if raw.t_s > state.imu_t_s:
         state = _integrated(design, state, raw, estimate)
-    if left is not None and right is not None and _due(design.config, state, left, right):
-        state = _corrected(design, state, inputs, estimate)
+        if left is not None and right is not None and min(left.t_s, right.t_s) > state.wheel_t_s:
+            state = _with_wheels(design, state, inputs, left, right, estimate)
     return state, _shown(design, state, inputs.now_s)
 
 
@@ -159,7 +161,8 @@ def _begun(design: OdometryDesign, raw: ImuRawSample) -> OdometryState:
     return OdometryState(
         motion=Motion(pitch_rad=pitch, roll_rad=roll),
         imu_t_s=raw.t_s,
-        held=Held(covariance=design.noise.at_start, slip=slipping, imu_t_s=raw.t_s),
+        held=Held(covariance=design.noise.at_start, imu_t_s=raw.t_s),
+        slip=slipping,
         begun=True,
     )
 
@@ -184,6 +187,9 @@ def _integrated(
         state.side_push_mps2 + smooth * (fy - ay - state.side_push_mps2),
         state.distance_m + abs(0.5 * (motion.u_mps + before.u_mps) * dt),
         state.held,
+        state.slip,
+        state.looked_t_s,
+        state.wheel_t_s,
         True,
     )
 
@@ -191,83 +197,57 @@ def _integrated(
 # ---- what holds the motion --------------------------------------------------
 
 
-def _due(config: OdometryConfig, state: OdometryState, left: WheelSample, right: WheelSample) -> bool:
-    """Tell whether it is time to correct; a robot that stands needs it less often."""
-    held = state.held
-    if min(left.t_s, right.t_s) <= held.wheel_t_s:
-        return False
-    waited_s = state.imu_t_s - held.imu_t_s + HALF_A_SAMPLE_S
-    if waited_s < CORRECT_EVERY_S:
-        return False
-    turns = max(map(abs, left.speed_radps + right.speed_radps)) >= config.stand_wheel_radps
-    return turns or held.stood_s <= config.stand_s or waited_s >= STANDING_EVERY_S
-
-
-def _corrected(
-    design: OdometryDesign, state: OdometryState, inputs: Inputs, estimate: Estimate
+def _with_wheels(
+    design: OdometryDesign,
+    state: OdometryState,
+    inputs: Inputs,
+    left: WheelSample,
+    right: WheelSample,
+    estimate: Estimate,
 ) -> OdometryState:
-    """Carry the covariance forward and take in wheels, standstill and magnetometer."""
-    left, right, raw = inputs.wheels_left, inputs.wheels_right, inputs.imu_raw
-    assert left is not None
-    assert right is not None
-    assert raw is not None
-    config, motion, held = design.config, state.motion, state.held
-    dt, yaw_rate = state.imu_t_s - held.imu_t_s, motion.rate_radps[2]
-    covariance = inertial.spread(held.covariance, motion, design.noise, dt)
-    coasting = sqrt(max(covariance.item(U, U), 0.0))
-    wheels, wheel_radps, speed = _read_wheels(design, state, inputs, estimate)
-    good = slip.trusted(config, held.slip, wheels, speed, coasting, yaw_rate)
-
-    stood_s = _standing_s(config, state, covariance.item(GZ, GZ), wheel_radps, dt)
-    standing = stood_s > config.stand_s
-    turning_s = 0.0
-    if standing:
-        measured, turning_s = _stands(design, held, covariance, motion, dt)
-    else:
-        measured = [_slides_little(design, state)]
-        rolls, good = _rolls(design, held.slip, wheels, good, speed, coasting, yaw_rate)
-        measured += rolls
-    magnetic = held.magnetic
-    if raw.mag_ut != magnetic.sample_ut:
-        motion, magnetic, north = _with_field(config, covariance, motion, magnetic, raw.mag_ut)
-        measured += north
-
-    errors, covariance = inertial.correct(covariance, measured)
-    motion = inertial.put_right(motion, errors)
-    sigma = sqrt(max(covariance.item(U, U), 0.0))
-    slipping = slip.step(config, held.slip, wheels, good, motion.u_mps, sigma, yaw_rate, dt)
-    (xx, xy, x_yaw), (_, yy, y_yaw), (_, _, yaw_yaw) = covariance[: YAW + 1, : YAW + 1].tolist()
-    after = Held(
-        covariance,
-        SlipState(scrub=slipping.scrub) if standing else slipping,
-        state.imu_t_s,
-        motion.yaw_rad,
-        max(left.t_s, right.t_s),
-        stood_s,
-        turning_s,
-        magnetic,
-        (xx, xy, x_yaw, yy, y_yaw, yaw_yaw),
-        sigma,
+    """See which wheels slip and, less often, put the motion right; standing needs neither often."""
+    config, held, now_s = design.config, state.held, state.imu_t_s + HALF_A_SAMPLE_S
+    if now_s - state.looked_t_s < LOOK_EVERY_S:
+        return state
+    (fl, rl), (fr, rr) = left.speed_radps, right.speed_radps
+    wheel_radps = (fl, fr, rl, rr)
+    still = max(map(abs, wheel_radps)) < config.stand_wheel_radps
+    every_s = STANDING_EVERY_S if still and held.stood_s > config.stand_s else CORRECT_EVERY_S
+    due = now_s - held.imu_t_s >= every_s
+    if not due and every_s == STANDING_EVERY_S:
+        return state
+    sampled_s = 0.5 * (left.t_s + right.t_s)
+    wheels, speed = _read_wheels(design, state, inputs.strokes, wheel_radps, sampled_s, estimate)
+    sigma, yaw_rate = held.speed_sigma_mps, state.motion.rate_radps[2]
+    good = slip.trusted(config, state.slip, wheels, speed, sigma, yaw_rate)
+    since_s = min(state.imu_t_s - state.looked_t_s, STANDING_EVERY_S)
+    if due:
+        state, good = _corrected(design, state, inputs.imu_raw, wheels, good, speed, still)
+    slipping = slip.step(
+        config, state.slip, wheels, good, state.motion.u_mps, state.held.speed_sigma_mps, yaw_rate, since_s
     )
-    return replace(state, motion=motion, held=after)
+    if state.held.stood_s > config.stand_s:
+        slipping = SlipState(scrub=slipping.scrub)
+    return replace(state, slip=slipping, looked_t_s=state.imu_t_s, wheel_t_s=max(left.t_s, right.t_s))
 
 
 def _read_wheels(
-    design: OdometryDesign, state: OdometryState, inputs: Inputs, estimate: Estimate
-) -> tuple[Wheels, Four, float]:
-    """What the wheels tell, their speeds, and the body's speed by inertia when they were measured.
+    design: OdometryDesign,
+    state: OdometryState,
+    strokes: StrokeSample | None,
+    wheel_radps: Four,
+    sampled_s: float,
+    estimate: Estimate,
+) -> tuple[Wheels, float]:
+    """What the wheels tell, and the body's speed by inertia when they were measured.
 
     Teeth tell of the time they took, which is over; a body that pitches carries the IMU along.
     """
     config, motion = design.config, state.motion
-    left, right, strokes = inputs.wheels_left, inputs.wheels_right, inputs.strokes
-    assert left is not None
-    assert right is not None
-    (fl, rl), (fr, rr) = left.speed_radps, right.speed_radps
+    fl, fr, rl, rr = wheel_radps
     mean_radps = 0.25 * (abs(fl) + abs(fr) + abs(rl) + abs(rr))
     tooth_s = 0.5 * TOOTH_RAD / mean_radps if mean_radps > TOOTH_RAD / config.longest_tooth_s else 0.0
-    before_s = state.imu_t_s - 0.5 * (left.t_s + right.t_s) + tooth_s
-
+    before_s = state.imu_t_s - sampled_s + tooth_s
     _, q, r = motion.rate_radps
     lever = q * (design.com_height_m + design.imu_height_m)
     ahead = cos(motion.pitch_rad - estimate.plate_pitch_rad)
@@ -278,17 +258,55 @@ def _read_wheels(
         (design.half_track_at(a), design.half_track_at(b), design.half_track_at(c), design.half_track_at(d)),
         design.drive_slip_s2pm * state.push_mps2,
         r,
-        state.held.slip.scrub,
+        state.slip.scrub,
     )
-    return wheels, (fl, fr, rl, rr), motion.u_mps - motion.accel_mps2[0] * before_s
+    return wheels, motion.u_mps - motion.accel_mps2[0] * before_s
 
 
-def _standing_s(
-    config: OdometryConfig, state: OdometryState, bias_variance: float, wheel_radps: Four, dt: float
-) -> float:
-    """For how long all wheels have stood while nothing said that the robot slides."""
-    if max(map(abs, wheel_radps)) >= config.stand_wheel_radps:
-        return 0.0
+def _corrected(
+    design: OdometryDesign,
+    state: OdometryState,
+    raw: ImuRawSample | None,
+    wheels: Wheels,
+    good: FourBools,
+    speed_mps: float,
+    still: bool,
+) -> tuple[OdometryState, FourBools]:
+    """Carry the covariance forward, take in wheels, standstill and magnetometer; return who was believed."""
+    config, motion, held = design.config, state.motion, state.held
+    dt = state.imu_t_s - held.imu_t_s
+    covariance = inertial.spread(held.covariance, motion, design.noise, dt)
+    stood_s, turning_s = _standing_s(config, state, covariance.item(GZ, GZ), dt) if still else 0.0, 0.0
+    if stood_s > config.stand_s:
+        measured, turning_s = _stands(design, held, covariance, motion, dt)
+    else:
+        often = LOOK_EVERY_S / dt
+        coasting = sqrt(max(covariance.item(U, U), 0.0))
+        measured, good = _rolls(design, state, wheels, good, speed_mps, coasting, often)
+        measured.append(_slides_little(design, state, often))
+    magnetic = held.magnetic
+    if raw is not None and raw.mag_ut != magnetic.sample_ut:
+        motion, magnetic, north = _with_field(config, motion, magnetic, raw.mag_ut)
+        measured += north
+
+    errors, covariance = inertial.correct(covariance, measured)
+    motion = inertial.put_right(motion, errors)
+    (xx, xy, x_yaw), (_, yy, y_yaw), (_, _, yaw_yaw) = covariance[: YAW + 1, : YAW + 1].tolist()
+    after = Held(
+        covariance,
+        state.imu_t_s,
+        motion.yaw_rad,
+        stood_s,
+        turning_s,
+        magnetic,
+        (xx, xy, x_yaw, yy, y_yaw, yaw_yaw),
+        sqrt(max(covariance.item(U, U), 0.0)),
+    )
+    return replace(state, motion=motion, held=after), good
+
+
+def _standing_s(config: OdometryConfig, state: OdometryState, bias_variance: float, dt: float) -> float:
+    """For how long the wheels, which are still, have stood while nothing said that the robot slides."""
     most_radps = radians(config.stand_yaw_rate_degps)
     known = bias_variance < most_radps**2 / 9.0
     if known and abs(state.motion.rate_radps[2]) > most_radps:
@@ -297,62 +315,65 @@ def _standing_s(
     return state.held.stood_s + dt if slow or not known else 0.0
 
 
-def _stands(design: OdometryDesign, held: Held, covariance: Array, motion: Motion, dt: float) -> Stands:
+def _stands(
+    design: OdometryDesign, held: Held, covariance: Array, motion: Motion, dt: float
+) -> tuple[list[Measurement], float]:
     """Neither the wheels' contacts nor the heading move: what the gyro has turned since is its bias.
 
-    A robot that drives off turns before the first tooth passes a sensor, but not for long.
+    A robot that drives off turns before the first tooth passes a sensor, but not for long; returns for how
+    long it has seemed to turn, too.
     """
     config, (p, q, _) = design.config, motion.rate_radps
-    often = CORRECT_EVERY_S / dt  # sigmas are those of a measurement every 20 ms
+    often = LOOK_EVERY_S / dt
+    variance, bias_variance = config.stand_noise_mps**2 * often, radians(config.stand_gyro_degps) ** 2 * often
     measured = [
-        Measurement({U: 1.0}, q * design.imu_height_m - motion.u_mps, config.stand_noise_mps**2 * often),
-        Measurement({V: 1.0}, -p * design.imu_height_m - motion.v_mps, config.stand_noise_mps**2 * often),
+        Measurement({U: 1.0}, q * design.imu_height_m - motion.u_mps, variance),
+        Measurement({V: 1.0}, -p * design.imu_height_m - motion.v_mps, variance),
     ]
     turned_radps = (motion.yaw_rad - held.yaw_rad) / dt
-    bias = Measurement({GZ: 1.0}, turned_radps, radians(config.stand_gyro_degps) ** 2 * often)
-    turns = inertial.surprising(covariance, [bias], config.stand_gate_sigmas)
-    turning_s = held.turning_s + dt if turns else 0.0
-    without_gap = dt < STANDING_EVERY_S + CORRECT_EVERY_S
-    if without_gap and (not turns or turning_s > config.stand_turning_s):
-        measured.append(bias)
+    expected = config.stand_gate_sigmas**2 * (covariance.item(GZ, GZ) + bias_variance)
+    turning_s = held.turning_s + dt if turned_radps**2 > expected else 0.0
+    without_gap = dt < STANDING_EVERY_S + LOOK_EVERY_S
+    if without_gap and (turning_s == 0.0 or turning_s > config.stand_turning_s):
+        measured.append(Measurement({GZ: 1.0}, turned_radps, bias_variance))
     return measured, turning_s
 
 
 def _rolls(
     design: OdometryDesign,
-    slipping: SlipState,
+    state: OdometryState,
     wheels: Wheels,
     good: FourBools,
     speed_mps: float,
     coasting_mps: float,
-    yaw_rate_radps: float,
+    often: float,
 ) -> tuple[list[Measurement], FourBools]:
     """The speed that good wheels tell, and which of them are good once their mean has been looked at."""
     if not any(good):
         return [], good
-    config = design.config
+    config, yaw_rate = design.config, state.motion.rate_radps[2]
     seen, both = slip.mean_of(wheels.told_mps, good)
-    if both and not slip.plausible(config, slipping, seen, speed_mps, coasting_mps, yaw_rate_radps):
+    if both and not slip.plausible(config, state.slip, seen, speed_mps, coasting_mps, yaw_rate):
         return [], slip.NONE
     one_side = config.scrub_noise * wheels.half_track_m[0]
-    scrubbing = (config.scrub_speed_m if both else one_side) * yaw_rate_radps
+    scrubbing = (config.scrub_speed_m if both else one_side) * yaw_rate
     # Where wheels slip the ground is slippery: those that hold carry more, and may slip a little unseen.
     sigma = config.wheel_sigma_mps * config.missing_wheel_factor ** (4 - sum(good))
-    variance = sigma**2 + config.memory * scrubbing**2
+    variance = often * (sigma**2 + config.memory * scrubbing**2)
     return [Measurement({U: 1.0, SCALE: -seen}, seen - speed_mps, variance)], good
 
 
-def _slides_little(design: OdometryDesign, state: OdometryState) -> Measurement:
+def _slides_little(design: OdometryDesign, state: OdometryState, often: float) -> Measurement:
     """A tyre drifts in proportion to the side force it takes; a turn is about a place not quite known."""
     config, motion = design.config, state.motion
     p, _, r = motion.rate_radps
     sliding = -design.side_slip_s2pm * state.side_push_mps2 * motion.u_mps
-    variance = config.slide_sigma_mps**2 + config.memory * (config.slide_m * r) ** 2
+    variance = often * (config.slide_sigma_mps**2 + config.memory * (config.slide_m * r) ** 2)
     return Measurement({V: 1.0}, sliding - p * design.imu_height_m - motion.v_mps, variance)
 
 
 def _with_field(
-    config: OdometryConfig, covariance: Array, motion: Motion, magnetic: Magnetic, mag_ut: Three
+    config: OdometryConfig, motion: Motion, magnetic: Magnetic, mag_ut: Three
 ) -> tuple[Motion, Magnetic, list[Measurement]]:
     """Look at a magnetometer sample, turned level; the first one is what Earth's field is taken for.
 
@@ -373,19 +394,18 @@ def _with_field(
         return replace(motion, learned=learned), Magnetic(mag_ut, up, True), []
     (north, west), (iron_x, iron_y) = motion.learned.field_ut, motion.learned.iron_ut
     ahead, left = cos_yaw * north + sin_yaw * west, cos_yaw * west - sin_yaw * north
+    off, gate = up - magnetic.up_ut, config.mag_gate_sigmas
+    if abs(off) > gate * config.mag_up_noise_ut:
+        return motion, replace(magnetic, sample_ut=mag_ut), []
+    magnetic = Magnetic(mag_ut, magnetic.up_ut + config.mag_up_learning * off, True)
     variance = config.mag_noise_ut**2
+    along = {YAW: left, FX: cos_yaw, FY: sin_yaw, HX: 1.0, PITCH: -up}
+    across = {YAW: -ahead, FX: -sin_yaw, FY: cos_yaw, HY: 1.0, ROLL: up}
     measured = [
-        Measurement(
-            {YAW: left, FX: cos_yaw, FY: sin_yaw, HX: 1.0, PITCH: -up}, level_x - ahead - iron_x, variance
-        ),
-        Measurement(
-            {YAW: -ahead, FX: -sin_yaw, FY: cos_yaw, HY: 1.0, ROLL: up}, level_y - left - iron_y, variance
-        ),
+        Measurement(along, level_x - ahead - iron_x, variance, gate),
+        Measurement(across, level_y - left - iron_y, variance, gate),
     ]
-    off, most = up - magnetic.up_ut, config.mag_gate_sigmas
-    if abs(off) > most * config.mag_up_noise_ut or inertial.surprising(covariance, measured, most):
-        return motion, Magnetic(mag_ut, magnetic.up_ut, True), []
-    return motion, Magnetic(mag_ut, magnetic.up_ut + config.mag_up_learning * off, True), measured
+    return motion, magnetic, measured
 
 
 # ---- what is shown --------------------------------------------------
@@ -408,7 +428,7 @@ def _shown(design: OdometryDesign, state: OdometryState, now_s: float) -> Odomet
         held.speed_sigma_mps,
         r,
         state.distance_m,
-        held.slip.ratio,
-        held.slip.slipping,
+        state.slip.ratio,
+        state.slip.slipping,
         held.stood_s > design.config.stand_s,
     )

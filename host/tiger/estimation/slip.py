@@ -105,7 +105,7 @@ def trusted(
 def _only_scrubs(
     config: OdometryConfig, wheels: Wheels, left: int, right: int, yaw_rate_radps: float
 ) -> bool:
-    """Tell whether two wheels of an axle are as far apart as a turn may set them, front and rear each its way."""
+    """Tell whether the two wheels of an axle are as far apart as a turn may set them."""
     track_m = wheels.half_track_m[left] + wheels.half_track_m[right]
     apart_mps = wheels.surface_mps[right] - wheels.surface_mps[left]
     return 1.0 <= apart_mps / (track_m * yaw_rate_radps) <= config.scrub_most
