@@ -29,6 +29,7 @@ STUDIES = {
     "monte-carlo": "Robustness over seeds, roads, mass, springs, COM and delay",
     "shaking-plate": "The robot levels itself on the shaking plate (Figures 4.10, 4.11)",
     "loose-slope": "Up a loose slope, passive and active (Figures 4.13 to 4.15)",
+    "tip-over": "Roll-overs at random, without and with the limiter; curbs",
     "uneven-terrain": "Driving over uneven terrain, strokes held and body levelled (Figure 4.12)",
 }
 

@@ -4,13 +4,14 @@ It asks what the command would do once carried out, not what has happened. Drivi
 ground pushes with f = (a_x - g_x, v r - g_y, g_n) in its plane, per unit mass. The centre of pressure moves
 by h f/g_n, and because the springs let the body lean over the wheels' centres (radius w) and gravity leans on
 it, by 1/(1 - m g_n (h - w)/K) as much, K the springs' stiffness against the lean. Setting that to
-`load_transfer_max` of the way to an edge bounds lateral and longitudinal acceleration. Where the tyres would
-slide first there is no bound.
+`load_transfer_max` of the way to an edge bounds lateral and longitudinal acceleration; over a corner both
+count, so that what a slope uses across is not there for braking, and the other way round. Where the tyres
+would slide first there is no bound.
 
 - *Curvature.* |v r| within the bound: the speed goes to where the commanded path can be driven, and until it
   is there the yaw rate is what the present speed allows.
-- *Slope.* Ground that gets steeper towards the bound lowers the speed so that the robot stops before it; from
-  there it may go back the way it came. It does not turn into a heading that the slope does not allow.
+- *Slope.* Ground that gets steeper towards the bound lowers the speed so that the axle ahead stops before it;
+  from there it may go back the way it came. It does not turn into a heading that the slope does not allow.
 - *Braking and speeding up* stay within the longitudinal bound.
 - *After a trip* it stops.
 
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 SPEED, CURVATURE, ACCELERATION = 1, 2, 4
 """Bits of `Stability.limited`."""
 
+FARTHEST = 10.0
+"""Times the way that a trend was seen over: so far it is taken to go on."""
 STOP = (0.0, 0.0)
 
 LEAST_RIGIDITY = 0.1
@@ -51,6 +54,7 @@ class LimiterDesign:
     crawl_mps: float
     crawl_radps: float
     foresight_s: float
+    half_wheelbase_m: float
     trend_m: float
 
 
@@ -80,15 +84,16 @@ class Allowed:
 
 def design_limiter(robot: RobotConfig) -> LimiterDesign:
     """Bring the config into SI."""
-    config = robot.stability
+    config, body = robot.stability, robot.vehicle.body
     return LimiterDesign(
         load_transfer_max=config.load_transfer_max,
         friction_max=config.friction_max,
         acceleration_mps2=robot.drive.acceleration_mps2,
         brake_min_mps2=config.brake_min_mps2,
         crawl_mps=config.crawl_mps,
-        crawl_radps=config.crawl_mps / robot.vehicle.body.half_track_m,
+        crawl_radps=config.crawl_mps / body.half_track_m,
         foresight_s=config.foresight_s,
+        half_wheelbase_m=0.5 * (body.com_to_front_axle_m + body.com_to_rear_axle_m),
         trend_m=config.trend_m,
     )
 
@@ -117,12 +122,12 @@ class Footing:
             return inf
         return share * push - offset - sign * self.slope_mps2[axis]
 
-    def used(self, heading_rad: float = 0.0) -> float:
-        """Share of the way to the nearest edge that is used at rest, after turning left by an angle."""
+    def at_rest(self, heading_rad: float = 0.0) -> tuple[float, float]:
+        """Shares of the way to an edge that are used at rest, along and across, after turning left."""
         (x, y), (offset_x, offset_y) = self.slope_mps2, self.offset_mps2
         c, s = cos(heading_rad), sin(heading_rad)
         along, across = c * x + s * y + offset_x, c * y - s * x + offset_y
-        return max(abs(along) / self.to_edge_mps2[0], abs(across) / self.to_edge_mps2[1])
+        return abs(along) / self.to_edge_mps2[0], abs(across) / self.to_edge_mps2[1]
 
 
 _OUTWARD = ((1, 1.0), (1, -1.0), (0, 1.0), (0, -1.0))
@@ -167,37 +172,44 @@ def step(
     share = design.load_transfer_max
     speed, yaw = command
     limited, cause = 0, LimitCause.NOTHING
-    to_front, to_rear = ground.bound(FRONT, share), ground.bound(REAR, share)
+    # Over a corner both ways count: what one axis uses at rest is not there for the other.
+    used_x, used_y = ground.at_rest()
+    used = max(used_x, used_y)
+    share_x, share_y = share * max(0.0, 1.0 - used_y), share * max(0.0, 1.0 - used_x)
+    to_front, to_rear = ground.bound(FRONT, share_x), ground.bound(REAR, share_x)
     hardest = min(to_front, to_rear)
 
+    fastest = max(abs(moving_mps), abs(state.speed_mps))
     # The turn: a = v r, to the left when positive, presses on the right edge, and the other way round.
     turn = speed * yaw
     would_tip = False
     if turn:
         outer, turn = (RIGHT, turn) if turn > 0.0 else (LEFT, -turn)
         least = design.crawl_mps * design.crawl_radps
-        most = max(ground.bound(outer, share), least)
+        most = max(ground.bound(outer, share_y), least)
         would_tip = turn > most and turn > ground.bound(outer, 1.0)
         if turn > most:
             path = sqrt(most / turn)
             speed, yaw = speed * path, yaw * path
             limited, cause = SPEED, LimitCause.TURN
-        fastest = max(abs(moving_mps), abs(state.speed_mps))
         if fastest * abs(yaw) > most:
             yaw = copysign(most / fastest, yaw)
             limited, cause = limited | CURVATURE, LimitCause.TURN
 
     # The slope: stop before it takes too much, go back, turn only where it takes less.
-    used, per_m = ground.used(), state.per_m
+    per_m = state.per_m
     if state.used and abs(moving_mps) > 0.5 * design.crawl_mps and state.used < share:
         more, travel = used - state.used, moving_mps * dt
         per_m += ((more if moving_mps > 0.0 else -more) - abs(travel) * per_m) / design.trend_m
     growth = per_m if speed > 0.0 else -per_m
-    ahead = used + max(0.0, growth) * abs(moving_mps) * design.foresight_s
+    # The axle ahead stands on that ground already.
+    ahead = used + max(0.0, growth) * (fastest * design.foresight_s + design.half_wheelbase_m)
     slowest = inf
     if ahead > share:
         slowest = 0.0 if growth > 0.0 else design.crawl_mps
-    elif growth > 0.0:  # with half the braking it stops before the bound
+    elif (
+        share - ahead < FARTHEST * design.trend_m * growth
+    ):  # with half the braking it stops before the bound
         brake = max(hardest, design.brake_min_mps2)
         slowest = sqrt(min(design.acceleration_mps2, brake) * (share - ahead) / growth)
     if abs(speed) > slowest:
@@ -225,7 +237,7 @@ def _turn(design: LimiterDesign, ground: Footing, used: float, yaw: float) -> fl
     (x, y), (offset_x, offset_y) = ground.slope_mps2, ground.offset_mps2
     if hypot(x, y) + max(abs(offset_x), abs(offset_y)) < share * min(ground.to_edge_mps2):
         return yaw  # no heading is in question
-    after = ground.used(yaw * design.foresight_s)
+    after = max(ground.at_rest(yaw * design.foresight_s))
     if after <= max(share, used):
         return yaw if used <= share else copysign(min(abs(yaw), design.crawl_radps), yaw)
     room = max(share - used, 0.0)

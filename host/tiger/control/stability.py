@@ -257,7 +257,7 @@ def _judged(
         due_s = inputs.now_s + STANCE_PERIOD_S
     upright, (by_strokes, pitched) = motion.upright_mps2, stance.strokes_rad
     force, turn = _by_now(config, motion)
-    by_springs, dived = tip_over.spring_lean(stance, force)
+    by_springs, dived = tip_over.spring_lean(stance, force, turn)
     lean = by_springs + by_strokes, dived + pitched
     ground_roll, ground_pitch = old.plane_rad
     new = dt / (config.slope_s + dt)

@@ -103,17 +103,22 @@ def contacts(stance: Stance, lean: tuple[float, float]) -> Contacts:
     )
 
 
-def spring_lean(stance: Stance, force: Three) -> tuple[float, float]:
-    """Roll and pitch that the springs give the body under a specific force, up to where wheels lift."""
+def spring_lean(stance: Stance, force: Three, turn: tuple[float, float]) -> tuple[float, float]:
+    """Roll and pitch that the springs give the body, up to where wheels lift.
+
+    They carry the moment of the specific force `force` but for what turns the body (`turn`, rad/s2).
+    """
     left, right, front, rear = stance.reach_m
     height, radius = stance.height_m, stance.wheel_radius_m
+    side = force[1] - stance.roll_gyration_m2 * turn[0] / height
+    ahead = force[0] + stance.pitch_gyration_m2 * turn[1] / height
     # K lean = m (h f - r g lean), and no moment is larger than all weight on one side makes it.
     roll_sway, pitch_sway = stance.roll_sway_s2pm, stance.pitch_sway_s2pm
     own = radius / height * GRAVITY_MPS2
     per_m = 0.5 * GRAVITY_MPS2 / height
     most_y, most_x = per_m * (left + right), per_m * (front + rear)
-    push_y = min(most_y, max(-most_y, force[1] / (1.0 + own * roll_sway)))
-    push_x = min(most_x, max(-most_x, force[0] / (1.0 + own * pitch_sway)))
+    push_y = min(most_y, max(-most_y, side / (1.0 + own * roll_sway)))
+    push_x = min(most_x, max(-most_x, ahead / (1.0 + own * pitch_sway)))
     return push_y * roll_sway, -push_x * pitch_sway
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -104,7 +105,7 @@ def test_a_slope_that_gets_steeper_stops_it_and_lets_it_go_back() -> None:
         speed += min(DT, max(-DT, allowed.speed_mps - speed))  # 1 m/s2
         place += speed * DT
     assert speed == pytest.approx(0.0, abs=0.02)
-    used = motion_limits.footing(TALL, (0.0, 0.1 * place), 5.0).used()
+    used = max(motion_limits.footing(TALL, (0.0, 0.1 * place), 5.0).at_rest())
     assert SHARE - 0.1 < used < SHARE + 0.05
     assert allowed.cause is LimitCause.SLOPE
     ground = motion_limits.footing(TALL, (0.0, 0.1 * place), 5.0)
@@ -132,6 +133,30 @@ def test_it_brakes_no_harder_than_the_load_allows() -> None:
     state, allowed = motion_limits.step(DESIGN, state, ground, (0.0, 0.0), 3.0, False, DT)
     assert allowed.limited & ACCELERATION
     assert 0.0 < 3.0 - allowed.speed_mps <= DESIGN.acceleration_mps2 * DT
+
+
+def test_what_a_side_slope_uses_is_not_there_for_braking() -> None:
+    """Over a corner both ways count."""
+    state = LimiterState(speed_mps=3.0)
+    brakes = []
+    for roll in (0.0, math.radians(10.0), math.radians(-10.0)):
+        ground = motion_limits.footing(TALL, (roll, 0.0), 5.0)
+        slower, _ = motion_limits.step(
+            replace(DESIGN, acceleration_mps2=9.0), state, ground, (0.0, 0.0), 3.0, False, DT
+        )
+        brakes.append((3.0 - slower.speed_mps) / DT)
+    assert brakes[0] == pytest.approx(SHARE * G * 0.5 / 0.8)
+    assert brakes[1] == pytest.approx(brakes[2])
+    used = math.tan(math.radians(10.0)) * 0.8 / 0.6
+    assert brakes[1] == pytest.approx(brakes[0] * (1.0 - used) * math.cos(math.radians(10.0)))
+
+
+def test_a_slope_seen_over_a_short_way_is_not_taken_to_go_on_for_ever() -> None:
+    ground = motion_limits.footing(TALL, (0.0, 0.01), 5.0)
+    rising = LimiterState(speed_mps=3.0, used=max(ground.at_rest()), per_m=0.05)
+    assert motion_limits.step(DESIGN, rising, ground, (3.0, 0.0), 3.0, False, DT)[1].limited == 0
+    steep = LimiterState(speed_mps=3.0, used=max(ground.at_rest()), per_m=0.3)
+    assert motion_limits.step(DESIGN, steep, ground, (3.0, 0.0), 3.0, False, DT)[1].limited == SPEED
 
 
 def test_after_a_trip_it_stops() -> None:

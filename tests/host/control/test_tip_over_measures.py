@@ -75,6 +75,16 @@ def test_load_transfer_of_a_rigid_robot_is_h_f_over_g_w(axis: int, sign: float, 
     assert transfers[axis] == pytest.approx(0.0)
 
 
+def test_wheels_that_are_sped_up_and_rolling_resistance_load_the_rear() -> None:
+    """Their moments are the ground's: I omega' of the wheels, and a load ahead of each hub."""
+    places = tip_over.contacts(RIGID, STILL)
+    none = tip_over.load_transfer(RIGID, places, (2.0, 0.0, G), STILL)[1]
+    moment = 0.3
+    assert tip_over.load_transfer(RIGID, places, (2.0, 0.0, G), (0.0, moment))[1] == pytest.approx(
+        none - moment / (0.5 * G)
+    )
+
+
 def test_loads_follow_a_com_off_the_middle_and_end_at_one_side() -> None:
     off = replace(RIGID, reach_m=(0.5, 0.7, 0.5, 0.5))  # 0.1 m to the left of 0.6
     lateral, _ = tip_over.load_transfer(off, tip_over.contacts(off, STILL), (0.0, 0.0, G), STILL)
@@ -137,9 +147,13 @@ def test_a_robot_that_falls_back_never_gets_there() -> None:
 
 def test_springs_lean_outward_in_a_turn_and_nose_down_when_braking() -> None:
     soft = replace(RIGID, roll_sway_s2pm=0.02, pitch_sway_s2pm=0.03)
-    roll, pitch = tip_over.spring_lean(soft, (-2.0, 3.0, G))
+    roll, pitch = tip_over.spring_lean(soft, (-2.0, 3.0, G), STILL)
     assert roll == pytest.approx(0.06)  # turning left: left side up
     assert pitch == pytest.approx(0.06)  # braking: nose down
-    most, _ = tip_over.spring_lean(soft, (0.0, 50.0, G))
+    falling = 3.0 * RIGID.height_m  # what turns the body is not carried by the springs
+    heavy = replace(soft, roll_gyration_m2=1.0, pitch_gyration_m2=1.0)
+    assert tip_over.spring_lean(heavy, (0.0, 3.0, G), (falling, 0.0)) == pytest.approx((0.0, 0.0))
+    assert tip_over.spring_lean(heavy, (-3.0, 0.0, G), (0.0, falling)) == pytest.approx((0.0, 0.0))
+    most, _ = tip_over.spring_lean(soft, (0.0, 50.0, G), STILL)
     assert most == pytest.approx(0.02 * 0.6 * G / 0.5)  # all weight on one side
     assert LEFT == 0
