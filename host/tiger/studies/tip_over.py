@@ -70,7 +70,7 @@ class Tally(NamedTuple):
 
 
 def drawn(runs: int, first_seed: int = 0) -> list[tuple[Kind, int]]:
-    """Kind and seed of each run: the same whatever their number, so that more of them go on where few ended."""
+    """Kind and seed of each run; more runs begin with the same ones, and go on where fewer ended."""
     rolls = iter(range(runs))
     return [
         ("trip" if k % TRIPS == TRIPS - 1 else KINDS[next(rolls) % len(KINDS)], first_seed + k)
@@ -188,7 +188,7 @@ def run(
     picture: Annotated[bool, typer.Option(help="Drive the case of the picture as well.")] = True,
     progress: Callable[[float], None] | None = None,
 ) -> Report:
-    """Run randomised roll-overs without and with the limiter, and curbs; 1000 take 20 minutes on two cores."""
+    """Run randomised roll-overs without and with the limiter, and curbs; 1000 take 20 min on two cores."""
     pairs = gather(drawn(runs, first_seed), jobs, keep, progress)
     found = tally(pairs)
     series: dict[str, Array] = {
@@ -331,7 +331,7 @@ def _draw_turn(figure: object, series: dict[str, Array]) -> None:
     panels[0].annotate(
         "balance point", (balance_s, 0.95), ha="right", va="top", xytext=(-4, 0), textcoords="offset points"
     )
-    panels[0].legend(loc="upper left")
+    panels[0].legend(loc="upper center")
     for axes, text in zip(
         panels,
         (

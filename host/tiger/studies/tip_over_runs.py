@@ -11,8 +11,8 @@ TIGER itself slides before it tips on flat ground (docs/stability.md), so the bo
 - *reverse*: the last two backwards.
 
 A seventh, *trip*, drives into a curb, and asks when the impact is flagged. The controller knows the load as
-the payload estimator would: it is in its vehicle file, but for a remainder of up to 10 % of the mass and 5 cm.
-A run ends as soon as its outcome is known.
+the payload estimator would: it is in its vehicle file, but for a remainder of up to 10 % of the mass and 5
+cm. A run ends as soon as its outcome is known.
 """
 
 from __future__ import annotations
