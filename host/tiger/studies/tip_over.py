@@ -134,7 +134,7 @@ def _pair(kept: list[object]) -> Pair:
 
 def _outcome(kept: list[object]) -> Outcome:
     *head, error = kept
-    return Outcome(*head, tuple(cast("list[float]", error)))  # type: ignore[arg-type]
+    return Outcome._make([*head, tuple(cast("list[float]", error))])
 
 
 def fingerprint() -> str:
