@@ -6,10 +6,12 @@ The figure prints curves and no numbers. The yardstick is what actuators of 9.4 
 - the bound: the rate-limited motion that is nearest to the ground under the wheels over the whole ride, all
   of it known beforehand, no lag (`control.rate_limited`);
 - the bound without foresight: the same over the next moments again and again, from the ground that the wheels
-  have touched. The rear wheels' next metre is known from the front ones, the front wheels' is not.
+  have touched. The rear wheels' next metre is known from the front ones, the front wheels' is not;
+- the same with the delay that the robot has: of the setpoint on its way, and of the actuators.
 
-Both as shares: what is left of the slope under the wheels, in the RMS. The robot's share is what its body
-rolls and pitches with the suspension levelling, over what it does with the strokes held.
+All as shares: what is left of the slope under the wheels, in the RMS. The robot's share is what its body
+rolls and pitches with the suspension levelling, over what it does with the strokes held. A body does more
+than its ground, so the first bound is also given for what the passive body does.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from tiger.control.attitude import design_leveling
 from tiger.control.rate_limited import distance_to_optimum, nearest_motion
 from tiger.emulation.ground import make_terrain
 from tiger.emulation.scenarios import RoughConfig, Roughness, Scenario, Start, TerrainConfig
-from tiger.record import Command, DaemonState, Mode
+from tiger.record import STILL, Command, DaemonState, Mode
 from tiger.rig.virtual import Rig
 from tiger.studies.report import Report, Row
 
@@ -45,8 +47,8 @@ ROUGHNESS: Roughness = "D"
 SHORTEST_WAVE_M = 1.0
 START_M, LENGTH_M = 5.0, 150.0
 DRIVE_AT_S = 8.0
-RUN_UP_S = 14.0
-"""The attitude filter takes speeding up for a slope, and forgets it in ten seconds."""
+RUN_UP_S = 6.0
+"""Speeding up, and the first metres, from which the ground ahead is told."""
 SAMPLE_S = 0.02
 ITERATIONS = 3000
 LOOK_AHEAD_S, LOOK_STEP_S, LOOK_ITERATIONS = 0.72, 0.06, 40
@@ -69,6 +71,10 @@ class Ride:
     yaw_deg: Array
     stroke_mm: Array
     load_n: Array
+    estimate_deg: Array
+    """Roll and pitch of the body as estimated (n, 2)."""
+    duty: Array
+    """Drive of the actuators (n, 4), -1 to 1."""
 
     def counted(self) -> Array:
         """Select the samples after the run-up."""
@@ -116,7 +122,8 @@ def run(
         "actuators": f"{robot.actuator.max_rate_mmps:g} mm/s at any load, lag {robot.actuator.lag_s:g} s",
         "counted": f"{duration_s:g} s, after {RUN_UP_S:g} s at the speed; RMS about the mean",
         "bound": "all the ground known beforehand, no lag, no noise, strokes without ends",
-        "no foresight": "the rear wheels' next metre known from the front ones, theirs only continued",
+        "without foresight": "the rear wheels' next metre known from the front ones, theirs only continued",
+        "delayed": "by the setpoint's way and the actuators' lag",
     }
     return Report("Driving over uneven terrain", tuple(rows), series, assumptions)
 
@@ -152,13 +159,25 @@ def _ride(
             raise ValueError(f"the robot is {record.state.name} ({record.reason}) {problems}")
         rig.daemon.command = Command(mode, speed_mps=speed_mps if rig.time_s > DRIVE_AT_S else 0.0)
         if tick % every == 0:
-            truth = rig.robot.truth()
+            truth, estimate, strokes = rig.robot.truth(), record.outputs.estimate, record.inputs.strokes
             attitude = truth.roll_deg, truth.pitch_deg, truth.yaw_deg
-            rows.append((truth.time_s, *attitude, *truth.position_m, *truth.stroke_mm, *truth.wheel_load_n))
+            estimated = math.degrees(estimate.roll_rad), math.degrees(estimate.pitch_rad)
+            duty = strokes.duty_permille if strokes is not None else STILL
+            world = (*attitude, *truth.position_m, *truth.stroke_mm, *truth.wheel_load_n)
+            rows.append((truth.time_s, *world, *estimated, *duty))
     table = np.array(rows)
     ground, axles = _under_wheels(robot, terrain, table[:, 4:6], table[:, 3])
     return Ride(
-        table[:, 0], table[:, 1:3], ground, axles, table[:, 4:7], table[:, 3], table[:, 7:11], table[:, 11:]
+        time_s=table[:, 0],
+        attitude_deg=table[:, 1:3],
+        ground_deg=ground,
+        axles_deg=axles,
+        position_m=table[:, 4:7],
+        yaw_deg=table[:, 3],
+        stroke_mm=table[:, 7:11],
+        load_n=table[:, 11:15],
+        estimate_deg=table[:, 15:17],
+        duty=table[:, 17:] / 1000.0,
     )
 
 
@@ -207,14 +226,19 @@ def bound(ground_deg: Array, limits_degps: tuple[float, float]) -> tuple[Array, 
 
 
 def without_foresight(
-    axles_deg: Array, limits_degps: tuple[float, float], speed_mps: float, wheelbase_m: float
+    axles_deg: Array,
+    limits_degps: tuple[float, float],
+    speed_mps: float,
+    wheelbase_m: float,
+    delay_s: float = 0.0,
 ) -> Array:
     """Return what is left of the ground (n, 2) when only what the wheels have touched is known.
 
-    Planned anew every `LOOK_STEP_S` over the next `LOOK_AHEAD_S`; no lag, no noise.
+    Planned anew every `LOOK_STEP_S` over the next `LOOK_AHEAD_S`, without noise; what is decided acts
+    `delay_s` later.
     """
     every = round(LOOK_STEP_S / SAMPLE_S)
-    ahead_s = LOOK_STEP_S * np.arange(1, round(LOOK_AHEAD_S / LOOK_STEP_S) + 1)
+    ahead_s = delay_s + LOOK_STEP_S * np.arange(1, round(LOOK_AHEAD_S / LOOK_STEP_S) + 1)
     goes_on_s = BENDS_AFTER_M / speed_mps
     rises_s = goes_on_s * (1.0 - np.exp(-ahead_s / goes_on_s))
     front, rear = axles_deg[:, [0, 2]], axles_deg[:, [1, 3]]
@@ -222,28 +246,40 @@ def without_foresight(
     seen = np.minimum(ahead_s, wheelbase_m / speed_mps) / SAMPLE_S
     ground = front + rear
     body, rates, left = ground[0].copy(), np.zeros((len(ahead_s), 2)), np.empty_like(ground)
+    decided = [np.zeros(2)] * round(delay_s / SAMPLE_S)
     for now in range(len(ground)):
         if now % every == 0:
             known = rear[np.minimum(now + seen.astype(int), len(rear) - 1)]
             expected = known + front[now] + rises_s[:, None] * rising[now]
+            begin = body + SAMPLE_S * np.sum(decided, axis=0)
             rates, _ = nearest_motion(
-                expected, limits_degps, LOOK_STEP_S, LOOK_ITERATIONS, start=body, guess=rates
+                expected, limits_degps, LOOK_STEP_S, LOOK_ITERATIONS, start=begin, guess=rates
             )
-        body = body + SAMPLE_S * rates[0]
+        decided.append(rates[0])
+        body = body + SAMPLE_S * decided.pop(0)
         left[now] = ground[now] - body
     return left
 
 
 def _rows(robot: RobotConfig, name: str, speed_mps: float, passive: Ride, active: Ride) -> list[Row]:
-    """RMS passive and active, their ratio, and the shares that the yardsticks leave of the ground."""
+    """RMS passive and active, their ratio, and the shares that the yardsticks leave."""
     roll, pitch = design_leveling(robot).turn_limits_radps
-    limits = math.degrees(roll), math.degrees(pitch)
+    limits, wheelbase_m = (math.degrees(roll), math.degrees(pitch)), robot.vehicle.body.wheelbase_m
+    delay_s = robot.actuator.lag_s + robot.leveling.setpoint_delay_s
     counted = active.counted()
-    ground = active.ground_deg[counted]
+    ground, axles = active.ground_deg[counted], active.axles_deg[counted]
+    body = passive.attitude_deg[passive.counted()]
     left, gap = bound(ground, limits)
-    blind = without_foresight(active.axles_deg[counted], limits, speed_mps, robot.vehicle.body.wheelbase_m)
-    held, levelled = _rms(passive.attitude_deg[passive.counted()]), _rms(active.attitude_deg[counted])
-    best, causal = _rms(left) / _rms(ground), _rms(blind) / _rms(ground)
+    left_of_body, _ = bound(body, limits)
+    blind = without_foresight(axles, limits, speed_mps, wheelbase_m)
+    late = without_foresight(axles, limits, speed_mps, wheelbase_m, delay_s)
+    held, levelled, slopes = _rms(body), _rms(active.attitude_deg[counted]), _rms(ground)
+    yardsticks = {
+        "bound": _rms(left) / slopes,
+        "bound of the body": _rms(left_of_body) / held,
+        "bound without foresight": _rms(blind) / slopes,
+        "bound without foresight, delayed": _rms(late) / slopes,
+    }
     rows = []
     for axis, label in enumerate(("roll", "pitch")):
         share = levelled[axis] / held[axis]
@@ -251,13 +287,23 @@ def _rows(robot: RobotConfig, name: str, speed_mps: float, passive: Ride, active
             Row(f"{name}: {label} RMS, passive", float(held[axis]), "deg"),
             Row(f"{name}: {label} RMS, active", float(levelled[axis]), "deg"),
             Row(f"{name}: {label}, active over passive", float(share), "-"),
-            Row(f"{name}: {label}, bound", float(best[axis]), "-"),
-            Row(f"{name}: {label}, bound without foresight", float(causal[axis]), "-"),
-            Row(f"{name}: {label}, above the bound", float(share - best[axis]), "of passive"),
-            Row(f"{name}: {label}, above that without foresight", float(share - causal[axis]), "of passive"),
+            *(Row(f"{name}: {label}, {what}", float(least[axis]), "-") for what, least in yardsticks.items()),
+            *(
+                Row(f"{name}: {label}, above the {what}", float(share - least[axis]), "of passive")
+                for what, least in yardsticks.items()
+            ),
         ]
     mean = active.attitude_deg[counted].mean(axis=0)
+    wrong = np.abs(active.estimate_deg - active.attitude_deg)[active.time_s > DRIVE_AT_S].max()
     rows.append(Row(f"{name}: mean tilt, active", float(np.abs(mean).max()), "deg"))
+    rows.append(Row(f"{name}: attitude as estimated, worst, from the start on", float(wrong), "deg"))
+    rows.append(
+        Row(
+            f"{name}: heat of the worst actuator",
+            float((active.duty[counted] ** 2).mean(axis=0).max()),
+            "of full",
+        )
+    )
     rows.append(Row(f"{name}: bound, duality gap", gap, "-"))
     return rows
 
@@ -339,6 +385,7 @@ def _shares(report: Report, speeds: list[str], path: Path) -> Path:
     value = {row.name: row.value for row in report.rows}
     lines = {
         "active over passive": "o-",
+        "bound without foresight, delayed": "x--",
         "bound without foresight": "s--",
         "bound": "^:",
     }

@@ -28,6 +28,7 @@ def test_levelling_leaves_less_than_holding_at_a_pace_the_actuators_can_follow(r
     for axis in ("roll", "pitch"):
         assert value[f"2 km/h: {axis} RMS, active"] < 0.5 * value[f"2 km/h: {axis} RMS, passive"]
         assert value[f"2 km/h: {axis}, bound"] <= value[f"2 km/h: {axis}, bound without foresight"]
+        assert value[f"2 km/h: {axis}, active over passive"] < 0.2
 
 
 def test_the_report_is_plain_data_and_has_the_series_of_both_rides(report) -> None:
@@ -59,6 +60,18 @@ def test_ground_that_stands_still_costs_nothing_without_foresight() -> None:
     axles = np.full((200, 4), 1.5)
     left = uneven_terrain.without_foresight(axles, LIMITS, 1.0, 1.0)
     assert np.abs(left).max() < 1e-9
+
+
+def test_a_delay_costs_where_the_ground_bends_and_nothing_before() -> None:
+    rise = np.concatenate([np.zeros(100), 0.4 * uneven_terrain.SAMPLE_S * np.arange(400)])
+    axles = np.column_stack([rise, rise, 0.0 * rise, 0.0 * rise])
+    late, prompt = (
+        np.abs(uneven_terrain.without_foresight(axles, LIMITS, 1.0, 10.0, delay_s)[:, 0])
+        for delay_s in (0.06, 0.0)
+    )
+    assert late[:50].max() < 1e-9
+    assert late.max() > 1.2 * prompt.max()
+    assert late[-100:].max() < 0.01
 
 
 def test_foresight_never_hurts() -> None:
