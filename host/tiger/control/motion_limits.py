@@ -39,6 +39,9 @@ FARTHEST = 10.0
 """Times the way that a trend was seen over: so far it is taken to go on."""
 STOP = (0.0, 0.0)
 
+ENOUGH_MPS = 0.5
+"""A smaller change of speed is over before it tips anything, however sudden."""
+
 LEAST_RIGIDITY = 0.1
 """Of 1 - c g_n: a load so high that the springs hardly carry it upright."""
 
@@ -223,6 +226,8 @@ def step(
 
     slewed = _slew(design, state.speed_mps, speed, to_front, to_rear, dt)
     if slewed != speed and design.acceleration_mps2 > hardest:
+        edge = FRONT if speed < slewed else REAR
+        would_tip |= abs(speed - slewed) > ENOUGH_MPS and design.acceleration_mps2 > ground.bound(edge, 1.0)
         speed, limited = slewed, limited | ACCELERATION
         cause = cause or LimitCause.BRAKING
     known = LimiterState(slewed, used, per_m)

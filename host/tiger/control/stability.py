@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from tiger.models.eam import LiftCurve
     from tiger.record import Command, Estimate, Four, ImuSample, Inputs, Loads, Three
 
-STANCE_PERIOD_S = 0.1
+STANCE_PERIOD_S = 0.2
 """Loads and strokes change slowly: so often the stance follows them."""
 
 JUDGED_AFTER_S = 0.015

@@ -135,6 +135,21 @@ def test_it_brakes_no_harder_than_the_load_allows() -> None:
     assert 0.0 < 3.0 - allowed.speed_mps <= DESIGN.acceleration_mps2 * DT
 
 
+def test_braking_that_would_tip_it_is_said_so() -> None:
+    hard, steep = replace(DESIGN, acceleration_mps2=5.0), (0.0, math.radians(10.0))
+    ground = motion_limits.footing(TALL, steep, 5.0)
+    assert ground.bound(FRONT, 1.0) < 5.0 < ground.bound(REAR, 1.0)
+
+    def told(now: float, wanted: float) -> bool:
+        state = LimiterState(speed_mps=now, used=max(ground.at_rest()))
+        return motion_limits.step(hard, state, ground, (wanted, 0.0), now, False, DT)[1].would_tip
+
+    assert told(3.0, 0.0)
+    assert told(0.0, -2.0)  # backwards is braking, to the front edge
+    assert not told(0.0, 2.0)
+    assert not told(2.0, 1.7)  # over before it tips
+
+
 def test_what_a_side_slope_uses_is_not_there_for_braking() -> None:
     """Over a corner both ways count."""
     state = LimiterState(speed_mps=3.0)
