@@ -328,10 +328,9 @@ def _draw_turn(figure: object, series: dict[str, Array]) -> None:
     balance_s = float(series["unlimited_balance_point_s"])
     for axes in panels:
         axes.axvline(balance_s, color="black", lw=1.0)
-    panels[0].annotate(
-        "balance point", (balance_s, 0.95), ha="right", va="top", xytext=(-4, 0), textcoords="offset points"
-    )
-    panels[0].legend(loc="upper center")
+    beside = {"xytext": (-4, 0), "textcoords": "offset points", "ha": "right"}
+    panels[3].annotate("balance point", (balance_s, 0.3), **beside)
+    panels[2].legend(loc="upper left")
     for axes, text in zip(
         panels,
         (
