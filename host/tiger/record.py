@@ -107,6 +107,7 @@ class DriveSample:
     controller_temperature_celsius: float | None
     fault_flags: int  # ?FF
     status_flags: int  # ?FS
+    sustained_current_a: tuple[float, float] = (0.0, 0.0)  # RMS of the motors' of late: what heats them
 
 
 @dataclass(frozen=True, slots=True)

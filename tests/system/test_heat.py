@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 @pytest.mark.proof
 def test_a_fast_ride_over_class_d_warms_the_actuators_and_goes_on(record_figure: Figure) -> None:
     """At full rate the board would stop this ride after three minutes."""
-    robot = load_robot(None)
-    safety = robot.safety.model_copy(update={"max_motor_current_a": 70.0})  # bends at low speed take 59 A
+    robot = load_robot(None).with_motor_current(70.0)  # bends at low speed take 59 A
     scenario = Scenario.model_validate(
         {
             "title": "a fast ride on class D",
@@ -34,7 +33,7 @@ def test_a_fast_ride_over_class_d_warms_the_actuators_and_goes_on(record_figure:
             "drive": [{"at_s": 12.0, "speed_mps": 1.5, "yaw_rate_degps": 3.0}],
         }
     )
-    rig = Rig(robot.model_copy(update={"safety": safety}), scenario, 0)
+    rig = Rig(robot, scenario, 0)
     rig.daemon.arm(20.0)
     hottest = slowed_s = 0.0
     for record in rig.run(scenario.duration_s):

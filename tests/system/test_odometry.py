@@ -36,10 +36,7 @@ ROLLING_MPS = 0.45
 
 def robot() -> RobotConfig:
     """The default, but for the current limit: 17 Nm, which bends at low speed take, are 59 A."""
-    config = load_robot(None)
-    return config.model_copy(
-        update={"safety": config.safety.model_copy(update={"max_motor_current_a": 70.0})}
-    )
+    return load_robot(None).with_motor_current(70.0)
 
 
 def course(seed: int, *, slippery: bool, waypoints: list[tuple[float, float, float]] = LOOP) -> Scenario:

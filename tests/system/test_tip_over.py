@@ -109,9 +109,8 @@ def test_load_transfer_is_known_within_five_percent(record_figure: Figure) -> No
     )
     terrain = TerrainConfig(left_up_deg=8.0)
     scenario = Scenario(title="across a slope", duration_s=13.0, terrain=terrain, drive=drive)
-    robot = load_robot(None)
-    patient = robot.safety.model_copy(update={"max_motor_current_a": 100.0})  # it turns uphill
-    rig = Rig(robot.model_copy(update={"safety": patient}), scenario, seed=2)
+    patient = load_robot(None).with_motor_current(100.0)  # it turns uphill
+    rig = Rig(patient, scenario, seed=2)
     rig.daemon.arm(8.0)
     errors = []
     for record in rig.run(13.0):

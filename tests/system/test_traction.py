@@ -26,9 +26,8 @@ TWISTED_MM = (23.0, 47.0, 47.0, 23.0)  # 196 N at each wheel become 145 and 247
 
 
 def robot_with(max_motor_current_a: float = 30.0, **traction: object) -> RobotConfig:
-    robot = load_robot()
-    safety = robot.safety.model_copy(update={"max_motor_current_a": max_motor_current_a})
-    return robot.model_copy(update={"traction": robot.traction.model_copy(update=traction), "safety": safety})
+    robot = load_robot().with_motor_current(max_motor_current_a)
+    return robot.model_copy(update={"traction": robot.traction.model_copy(update=traction)})
 
 
 def scenario(

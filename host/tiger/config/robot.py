@@ -351,6 +351,8 @@ class SafetyConfig(_Section):
     max_tilt_deg: Annotated[float, Field(gt=0.0, le=60.0, strict=True)]
     max_wheel_speed_rpm: Positive
     max_motor_current_a: Positive
+    max_sustained_current_a: Positive
+    sustained_current_s: Positive
     max_controller_temperature_celsius: Positive
     battery_low_v: Positive
     battery_min_v: Positive
@@ -398,6 +400,11 @@ class RobotConfig(_Section):
         actuator = self.vehicle.actuator
         assert isinstance(actuator, RateActuatorConfig)
         return actuator
+
+    def with_motor_current(self, limit_a: float) -> RobotConfig:
+        """The same robot, stopped when a wheel's motor takes more than this, for a moment or for long."""
+        limits = {"max_motor_current_a": limit_a, "max_sustained_current_a": limit_a}
+        return self.model_copy(update={"safety": self.safety.model_copy(update=limits)})
 
     @property
     def stroke_range_mm(self) -> tuple[float, float]:

@@ -111,7 +111,7 @@ def design_traction(robot: RobotConfig) -> TractionDesign:
         solve = daqp.solve
     motor = MotorCurrent()
     motor_nm = vehicle.drive.max_torque_nm if vehicle.drive is not None else 0.0
-    current_nm = (robot.safety.max_motor_current_a - motor.no_load_a) * motor.torque_per_amp_nm
+    current_nm = (robot.safety.max_sustained_current_a - motor.no_load_a) * motor.torque_per_amp_nm
     wheelbase = body.com_to_front_axle_m + body.com_to_rear_axle_m
     half = 0.5 * GRAVITY_MPS2 * body.mass_kg / wheelbase
     front = half * body.com_to_rear_axle_m + vehicle.front.unsprung_mass_kg * GRAVITY_MPS2

@@ -19,7 +19,12 @@ class Drive:
     def __init__(self, side: str, path: str, ports: PortProvider, robot: RobotConfig) -> None:
         safety, rate_hz = robot.safety, robot.loop.drive_rate_hz
         self.driver = Roboteq(
-            f"roboteq ({side})", path, safety.roboteq_watchdog_ms, rate_hz, safety.roboteq_read_back
+            f"roboteq ({side})",
+            path,
+            safety.roboteq_watchdog_ms,
+            rate_hz,
+            safety.roboteq_read_back,
+            safety.sustained_current_s,
         )
         self.connection = Connection(ports, path, BAUD)
 

@@ -166,6 +166,13 @@ LIMITS = (
     ),
     Limit(
         "roboteq",
+        "motor current has been {:.1f} A (RMS) for a while",
+        _of_drives(lambda d: max(d.sustained_current_a), max),
+        lambda s: s.max_sustained_current_a,
+        "Let the motors cool; on steep or soft ground drive slower and turn less.",
+    ),
+    Limit(
+        "roboteq",
         "controller is at {:.0f} degrees Celsius",
         _of_drives(lambda d: d.controller_temperature_celsius, max),
         lambda s: s.max_controller_temperature_celsius,

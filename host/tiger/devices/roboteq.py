@@ -261,9 +261,18 @@ class Roboteq:
     """One controller; see the module's text."""
 
     def __init__(
-        self, name: str, port: str, watchdog_ms: int, rate_hz: float, read_back: bool = True
+        self,
+        name: str,
+        port: str,
+        watchdog_ms: int,
+        rate_hz: float,
+        read_back: bool = True,
+        sustained_s: float = 20.0,
     ) -> None:
-        """`name` and `port` are for messages; commands are refreshed at `rate_hz`, and read back or not."""
+        """`name` and `port` are for messages; commands are refreshed at `rate_hz`, and read back or not.
+
+        The squares of the motors' currents are smoothed over `sustained_s`.
+        """
         self.name = name
         self.port = port
         self.watchdog_ms = watchdog_ms
@@ -278,6 +287,9 @@ class Roboteq:
         self.changed_commands = 0  # speeds that arrived as other ones, answered by a stop
         self.fault: Problem | None = None  # why the motors are held until `clear`
         self._read_back = read_back
+        self._sustained_s = sustained_s
+        self._mean_square_a2 = (0.0, 0.0)  # outlives a lost connection, as the motors' heat does
+        self._current_s = -math.inf  # when the currents were read last
         self._emergency = False  # asked for and not taken back; outlives a lost connection
         self.connected(-math.inf)
 
@@ -483,12 +495,26 @@ class Roboteq:
             self.flags[name] = values[0]
         elif name == "FM":
             self.flags["FM1"], self.flags["FM2"] = values
+        elif name == "A":
+            self._warm(values, now_s)
         elif name == "RWD" and values[0] != self.watchdog_ms:
             self._begin_anew(now_s)
         elif name == "S":
             plausible = last is not None and _near(values, last)
             if plausible and {"V", "FF"} <= self.readings.keys():
                 self.sample = self._sampled(values, now_s)
+
+    def _warm(self, tenths_a: tuple[int, ...], now_s: float) -> None:
+        """Take the motors' currents into the mean of their squares; a long gap counts as one at this one."""
+        share = 1.0 - math.exp(-(now_s - self._current_s) / self._sustained_s)
+        front, rear = self._mean_square_a2
+        if self._current_s == -math.inf:
+            share = 0.0  # since when, no one knows
+        self._current_s = now_s
+        self._mean_square_a2 = (
+            front + share * (0.01 * tenths_a[0] ** 2 - front),
+            rear + share * (0.01 * tenths_a[1] ** 2 - rear),
+        )
 
     def _sampled(self, speeds: tuple[int, ...], now_s: float) -> DriveSample:
         motor = self.readings.get("A", (0, 0))
@@ -503,6 +529,7 @@ class Roboteq:
             controller_temperature_celsius=float(max(temperatures)) if temperatures else None,
             fault_flags=self.flags["FF"],
             status_flags=self.flags["FS"],
+            sustained_current_a=(math.sqrt(self._mean_square_a2[0]), math.sqrt(self._mean_square_a2[1])),
         )
 
     # ----------------------------------------------------------------------------------------------- sending

@@ -197,7 +197,7 @@ def assumptions(scenario: Scenario, rides: Mapping[str, Ride]) -> dict[str, str]
         "active": "mode balance; forces shared by load",
         "slip": f"1 - v/(w r) of the true speeds, mean over {PEAK_OVER_S:g} s",
         "energy": "torque times speed of each wheel as the robot measures them, driving only",
-        "current": f"max_motor_current_a = {CURRENT_A:g}, so that no case ends by the safety limit",
+        "current": f"the safety limits of the motors' currents are {CURRENT_A:g} A: no case ends by them",
     }
 
 
@@ -207,8 +207,8 @@ def configured(case: Case) -> RobotConfig:
     keys: dict[str, object] = {"mode": case.traction, "share": case.share}
     if case.share == "equal":
         keys |= {"slip_max": OPEN, "slip_margin_mps": OPEN, "slip_gain_per_s": 0.0}
-    safety = robot.safety.model_copy(update={"max_motor_current_a": CURRENT_A})
-    return robot.model_copy(update={"traction": robot.traction.model_copy(update=keys), "safety": safety})
+    robot = robot.with_motor_current(CURRENT_A)
+    return robot.model_copy(update={"traction": robot.traction.model_copy(update=keys)})
 
 
 def gentle(scenario: Scenario) -> Scenario:

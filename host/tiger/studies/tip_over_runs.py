@@ -128,7 +128,7 @@ def draw(kind: Kind, seed: int) -> Case:
 
 def _robot(kind: Kind, number: dict[str, float]) -> RobotConfig:
     """TIGER with its COM raised, its payload in the body's figures, and limits that do not stop it first."""
-    robot = load_robot(None)
+    robot = load_robot(None).with_motor_current(100.0)
     return robot.model_copy(
         update={
             "vehicle": loaded(robot.vehicle, number, MOTOR_NM[kind]),
@@ -144,9 +144,7 @@ def _robot(kind: Kind, number: dict[str, float]) -> RobotConfig:
             # Runs of seconds: the load is the declared one.
             "stability": robot.stability.model_copy(update={"load_sigma_m": 1e-3, "load_sigma_kg": 0.1}),
             # What else would stop it before it tips: not what is measured here.
-            "safety": robot.safety.model_copy(
-                update={"max_tilt_deg": 60.0, "max_motor_current_a": 100.0, "max_wheel_speed_rpm": 800.0}
-            ),
+            "safety": robot.safety.model_copy(update={"max_tilt_deg": 60.0, "max_wheel_speed_rpm": 800.0}),
         }
     )
 

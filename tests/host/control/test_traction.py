@@ -217,11 +217,9 @@ def test_what_holds_sideways_does_not_pull(side: float, left: float) -> None:
 def test_the_motor_and_the_current_that_stops_the_robot_limit_the_pull() -> None:
     radius = ROBOT.vehicle.tire.rolling_radius_m
     torque = DESIGN.torque_max_nm
-    assert torque <= 0.9 * MotorCurrent().torque_nm(ROBOT.safety.max_motor_current_a, 1e9)
+    assert torque <= 0.9 * MotorCurrent().torque_nm(ROBOT.safety.max_sustained_current_a, 1e9)
     assert limits_n(DESIGN, task(friction=1.2, load_n=(500.0,) * 4)) == pytest.approx((torque / radius,) * 4)
-    strong = ROBOT.model_copy(
-        update={"safety": ROBOT.safety.model_copy(update={"max_motor_current_a": 100.0})}
-    )
+    strong = ROBOT.with_motor_current(100.0)
     assert design_traction(strong).torque_max_nm == pytest.approx(0.9 * ROBOT.vehicle.drive.max_torque_nm)  # type: ignore[union-attr]
 
 

@@ -85,7 +85,8 @@ LATE, SLOW = NOW_S - 0.061, NOW_S - 0.2
         ),
         (replace(GOOD, drive_right=replace(DRIVE, t_s=SLOW)), "roboteq (right): newest speeds"),
         (replace(GOOD, wheels_right=replace(WHEELS, speed_radps=(0.0, -45.0))), "wheels: turn at 430 rpm"),
-        (replace(GOOD, drive_left=replace(DRIVE, motor_current_a=(0.0, -31.0))), "motor current is 31.0 A"),
+        (replace(GOOD, drive_left=replace(DRIVE, motor_current_a=(0.0, -56.0))), "motor current is 56.0 A"),
+        (replace(GOOD, drive_left=replace(DRIVE, sustained_current_a=(31.0, 0.0))), "has been 31.0 A (RMS)"),
         (replace(GOOD, drive_left=replace(DRIVE, controller_temperature_celsius=80.0)), "80 degrees Celsius"),
         (
             replace(GOOD, drive_left=replace(DRIVE, battery_v=19.9)),

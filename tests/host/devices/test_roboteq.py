@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import pytest
@@ -31,6 +32,7 @@ class Bench:
 
     controller: Controller = field(default_factory=Controller)
     piece: int = 1000  # most bytes that reach the driver in a millisecond
+    current_a: tuple[float, float] = (1.5, 2.5)
     fastest_rpm: float = 0.0
 
     def __post_init__(self) -> None:
@@ -46,7 +48,7 @@ class Bench:
             self.now_ms += 1
             now_s = self.now_ms * 1e-3
             self.controller.run(1000)
-            self.controller.feedback(self.controller.motor_rpm, (1.5, 2.5))
+            self.controller.feedback(self.controller.motor_rpm, self.current_a)
             self.fastest_rpm = max(self.fastest_rpm, *map(abs, self.controller.motor_rpm))
             self._waiting += self.controller.transmit()
             if self.cut:
@@ -106,6 +108,29 @@ def test_a_released_drive_follows_its_two_commands() -> None:
     assert sample.motor_current_a == (1.5, 2.5)
     assert sample.battery_v == 24.0
     assert sample.controller_temperature_celsius == 32.0
+
+
+def test_a_blow_of_current_is_no_sustained_one_and_a_lasting_one_is() -> None:
+    """The squares are smoothed over 20 s: after so long a step has got to 1 - 1/e of its square."""
+    bench = Bench().started()
+
+    def sustained() -> tuple[float, float]:
+        assert bench.driver.sample is not None
+        return bench.driver.sample.sustained_current_a
+
+    assert max(sustained()) < 0.5
+    bench.current_a = (50.0, -50.0)
+    bench.run(2000)
+    assert sustained() == pytest.approx((50.0 * math.sqrt(1.0 - math.exp(-0.1)),) * 2, rel=0.1)
+    bench.run(18_000)
+    heated = sustained()
+    assert heated == pytest.approx((50.0 * math.sqrt(1.0 - math.exp(-1.0)),) * 2, rel=0.02)
+    bench.current_a = (0.0, 0.0)
+    bench.driver.connected(bench.now_ms * 1e-3)  # a lost line cools no motor
+    bench.run(1000)
+    assert sustained() == pytest.approx(heated, rel=0.06)
+    bench.run(40_000)
+    assert max(sustained()) < 0.4 * heated[0]
 
 
 def test_commands_are_refreshed_at_50_hz_and_speeds_read_as_often() -> None:
