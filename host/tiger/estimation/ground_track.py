@@ -7,7 +7,10 @@ the front axle had a wheelbase earlier, so the mean, followed over the distance 
     front now = 2 mean now - front of a wheelbase ago
 
 The recursion alone never forgets an error; a steady-state Kalman filter over the slopes between the axles
-(a delay line in steps of distance, fed by ground of a known restlessness) does. Heights are in mm, half the
+(a delay line in steps of distance, fed by ground of a known restlessness) does, but slowly: slopes that
+alternate from one wheelbase to the next have no mean. Where the mean has stayed the same for a whole
+wheelbase, ground that mirrors itself so is far less likely than ground without twist, and the filter's
+slopes give way to the mean. Heights are in mm, half the
 difference of left and right wheel: front minus rear is twice the twist. Turning on the spot leads the rear
 wheels beside the track, and what is known fades. Backwards the axles change parts.
 """
@@ -32,6 +35,10 @@ if TYPE_CHECKING:
 
 _STEPS = 20
 """Of the wheelbase."""
+_CALM_SIGMAS = 3.0
+"""Of the measurement: a mean that changes by less has stayed the same."""
+_CALMING = 0.25
+"""Of the wheelbase: where it has, two thirds of what the slopes differ from it go within this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +55,8 @@ class TrackDesign:
     unknown_mm: float
     settle_m: float
     fade_rad: float
+    calm_mm: float
+    calming: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +68,10 @@ class TrackState:
     travelled_m: float = 0.0
     yaw_rad: float = 0.0
     forwards: bool = True
+    calm_mm: float = 0.0
+    """The mean slope that has stayed the same ..."""
+    calm_m: float = 0.0
+    """... over this distance."""
 
 
 def design_track(robot: RobotConfig) -> TrackDesign:
@@ -90,6 +103,8 @@ def design_track(robot: RobotConfig) -> TrackDesign:
         unknown_mm=config.expected_twist_mm,
         settle_m=body.wheelbase_m,
         fade_rad=math.radians(config.track_fade_deg),
+        calm_mm=_CALM_SIGMAS * math.sqrt(noise),
+        calming=math.exp(-1.0 / (_CALMING * _STEPS)),
     )
 
 
@@ -106,6 +121,9 @@ def step(design: TrackDesign, state: TrackState, estimate: Estimate) -> TrackSta
         return state
     x, known, forwards = state.x, state.known, where.speed_mps >= 0.0
     measured = design.half_track_mm * estimate.plate_roll_rad
+    calm_mm, calm_m = state.calm_mm, state.calm_m
+    if abs(measured - calm_mm) > design.calm_mm:
+        calm_mm, calm_m = measured, 0.0
     if forwards != state.forwards:
         x = np.concatenate([x[_STEPS::-1], [0.0]])
     if known == 0.0:  # as far as anyone knows, the ground between the axles is even
@@ -117,8 +135,12 @@ def step(design: TrackDesign, state: TrackState, estimate: Estimate) -> TrackSta
         x = design.transition @ x
         x = x + design.gain * (measured - 0.5 * (x[0] + x[_STEPS]))
         known += (1.0 - known) * design.step_m / design.settle_m
+        calm_m += design.step_m
+        if calm_m > design.settle_m:
+            x[:-1] = measured + design.calming * (x[:-1] - measured)
+            x[-1] *= design.calming
     travelled_m = state.travelled_m + design.step_m * int(driven_m / design.step_m)
-    return TrackState(x, known, travelled_m, where.yaw_rad, forwards)
+    return TrackState(x, known, travelled_m, where.yaw_rad, forwards, calm_mm, calm_m)
 
 
 def twist(design: TrackDesign, state: TrackState) -> tuple[float, float]:

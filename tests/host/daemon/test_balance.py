@@ -2,6 +2,10 @@
 
 Heave, pitch and roll on four springs that are unequal by up to 5 %, under tyres that push and never pull. The
 loads are known here and to nobody else.
+
+Figure 4.14's two wheels in the air take 125 mm of twist on TIGER's springs: 59 to 60 mm of the ground, and
+strokes at their ends against it. On springs half as stiff again 86 mm will do, so that every twist of the
+ground from 20 mm on lifts wheels off.
 """
 
 from __future__ import annotations
@@ -12,12 +16,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from tiger.config.robot import load_robot
 from tiger.control.reachable import WARP, Suspension
 from tiger.daemon import controller
+from tiger.estimation import contact
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
-from tiger.record import Command, ImuSample, Inputs, Mode, StrokeSample
+from tiger.record import Command, ImuSample, Inputs, Loads, Mode, StrokeSample
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,26 +36,44 @@ if TYPE_CHECKING:
 TICK_S, STEP_S = 0.005, 0.001
 WRONG_WAY = (0.0, 70.0, 70.0, 0.0)
 MID = (35.0, 35.0, 35.0, 35.0)
+X_MM, Y_MM = np.array([500.0, 500.0, -500.0, -500.0]), np.array([600.0, -600.0, 600.0, -600.0])
+PAYLOAD_UP_M = 0.3
+CLEAR_MM = 1.0
+"""Of the ground: a wheel that is nearer to it touches, as far as an attitude of 0.03 degrees can tell."""
 
 
 class Standing:
     """A rigid body on four springs that push and do not pull beyond the weight of their wheels."""
 
-    def __init__(self, design: ControllerDesign, ground_mm: Array, seed: int) -> None:
+    def __init__(
+        self,
+        design: ControllerDesign,
+        ground_mm: Array,
+        seed: int,
+        spread: float = 0.05,
+        payload_kg: float = 0.0,
+        place_m: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         robot = design.robot
         self.random = np.random.default_rng(seed)
         self.suspension: Suspension = design.leveling.suspension
         car = FullCarParameters.from_config(robot.vehicle)
-        stiff = 1.0 / (1.0 / car.spring_npm() + 1.0 / car.tire_stiffness_npm)
-        self.stiff_npm = stiff * (1.0 + 0.05 * self.random.uniform(-1.0, 1.0, 4))
+        factor = 1.0 + spread * self.random.uniform(-1.0, 1.0, 4)
+        self.stiff_npm = 1.0 / (1.0 / (car.spring_npm() * factor) + 1.0 / car.tire_stiffness_npm)
         self.static_n = car.static_tire_load_n()
+        # A weaker spring stands lower under the same weight.
+        squeezed_m = (self.static_n - GRAVITY_MPS2 * car.wheel_mass_kg()) / car.spring_npm()
+        self.lower_m = squeezed_m * (1.0 / factor - 1.0)
         self.damping_nspm = car.damper_nspm()
-        self.inertia = np.array([car.body_mass_kg, car.pitch_inertia_kgm2, car.roll_inertia_kgm2])
         above_m = (
             robot.vehicle.body.com_height_m - robot.vehicle.tire.rolling_radius_m
         )  # above the wheel centres
-        lever_nm = car.body_mass_kg * GRAVITY_MPS2 * above_m
-        self.lever_nm = lever_nm * np.array([0.0, 1.0, 1.0])
+        lever_kgm = car.body_mass_kg * above_m + payload_kg * (above_m + PAYLOAD_UP_M)
+        self.lever_nm = GRAVITY_MPS2 * lever_kgm * np.array([0.0, 1.0, 1.0])
+        x, y = place_m
+        self.payload = GRAVITY_MPS2 * payload_kg * np.array([-1.0, x, -y])
+        self.inertia = np.array([car.body_mass_kg, car.pitch_inertia_kgm2, car.roll_inertia_kgm2])
+        self.inertia += payload_kg * (np.array([1.0, x * x, y * y]) + PAYLOAD_UP_M**2 * np.array([0, 1, 1]))
         self.corners = car.corner_kinematics()  # corner heights from heave, pitch, roll
         self.ground_m = 0.001 * ground_mm
         self.pose, self.rate, self.seat = np.zeros(3), np.zeros(3), None
@@ -57,7 +82,7 @@ class Standing:
     def stand(self, stroke_mm: Array, duration_s: float) -> None:
         """Let time pass under these strokes, in steps of a millisecond."""
         lift = np.array([self.suspension.curve.at(s)[0] for s in stroke_mm]) * 0.001
-        seat = lift - self.suspension.curve.at(35.0)[0] * 0.001 + self.ground_m
+        seat = lift - self.suspension.curve.at(35.0)[0] * 0.001 + self.ground_m - self.lower_m
         steps = round(duration_s / STEP_S)
         seat_rate = np.zeros(4) if self.seat is None else (seat - self.seat) / duration_s
         self.seat = seat
@@ -65,7 +90,7 @@ class Standing:
             push = self.stiff_npm * (seat - self.corners @ self.pose)
             push += self.damping_nspm * (seat_rate - self.corners @ self.rate)
             self.load_n = np.maximum(self.static_n + push, 0.0)
-            force = self.corners.T @ (self.load_n - self.static_n) + self.lever_nm * self.pose
+            force = self.corners.T @ (self.load_n - self.static_n) + self.lever_nm * self.pose + self.payload
             self.rate = self.rate + STEP_S * force / self.inertia
             self.pose = self.pose + STEP_S * self.rate
 
@@ -101,9 +126,10 @@ def run(
     stroke_mm: tuple[float, ...] = MID,
     duration_s: float = 9.0,
     mode: Mode = Mode.BALANCE,
+    body: Standing | None = None,
 ) -> Run:
     """Stand in `hold` for two seconds, then change the mode."""
-    body = Standing(design, ground_mm, seed)
+    body = body or Standing(design, ground_mm, seed)
     stroke, rate = np.array(stroke_mm), np.zeros(4)
     body.stand(stroke, 5.0)
     state = controller.initial_state(design)
@@ -148,20 +174,103 @@ def design() -> ControllerDesign:
     return controller.design_controller(load_robot())
 
 
+@pytest.fixture(scope="module")
+def stiff() -> ControllerDesign:
+    """A robot on springs half as stiff again, and dampers to suit."""
+    robot = load_robot()
+    axles = {}
+    for name in ("front", "rear"):
+        axle = getattr(robot.vehicle, name)
+        keys = {"spring_npm": 1.5 * axle.spring_npm, "damper_nspm": 1.5**0.5 * axle.damper_nspm}
+        axles[name] = axle.model_copy(update=keys)
+    return controller.design_controller(
+        robot.model_copy(update={"vehicle": robot.vehicle.model_copy(update=axles)})
+    )
+
+
+def sloping(roll_deg: float, pitch_deg: float) -> Array:
+    return Y_MM * math.radians(roll_deg) - X_MM * math.radians(pitch_deg)
+
+
+def wrong_way(side: float) -> tuple[float, ...]:
+    """Strokes at their ends, twisted against ground that is high under FL and RR (side + 1), or - 1."""
+    return WRONG_WAY if side < 0.0 else tuple(70.0 - s for s in WRONG_WAY)
+
+
+def hangs(body: Standing, stroke_mm: tuple[float, ...], side: float) -> bool:
+    """Does a wheel hang clear of the ground at rest?"""
+    ground_m, body.ground_m = body.ground_m, body.ground_m - 0.001 * twisted(side * CLEAR_MM)
+    body.stand(np.array(stroke_mm), 4.0)
+    body.ground_m = ground_m
+    return bool(body.load_n.min() == 0.0)
+
+
+def check(result: Run, within_s: float = 8.0) -> None:
+    """The bar: all wheels loaded within 8 s, and the diagonals within 10 % of the static load."""
+    assert result.load_n[0].min() == 0.0
+    assert result.until_s(result.load_n.min(axis=1) < 5.0) < within_s
+    assert result.until_s(np.abs(result.difference) > 0.10) < within_s
+
+
 # ---- Figure 4.14: two wheels in the air ------------------------
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4])  # springs of seed 0: it hangs by 1 mm, which is too little
-@pytest.mark.parametrize("side", [-1.0, 1.0])
+# Springs of seed 0 leave one wheel 0.4 mm above the ground on the one side: too little to be heard.
+@pytest.mark.parametrize(
+    ("side", "seed"), [(side, seed) for side in (-1.0, 1.0) for seed in range(5) if (side, seed) != (-1.0, 0)]
+)
 def test_two_wheels_in_the_air_are_all_loaded_and_balanced_within_eight_seconds(design, side, seed) -> None:
-    stroke = WRONG_WAY if side < 0.0 else tuple(70.0 - s for s in WRONG_WAY)
-    result = run(design, twisted(side * 60.0) + seed, seed, stroke)
+    result = run(design, twisted(side * 60.0) + seed, seed, wrong_way(side))
     start = np.sort(result.load_n[0])
-    assert start[0] == 0.0
     assert start[1] < 0.1 * start[2]
+    check(result)
     assert result.until_s(result.load_n.min(axis=1) < 5.0) < 2.0
-    assert result.until_s(np.abs(result.difference) > 0.10) < 8.0
     assert np.abs(result.attitude_deg[-200:]).max() < 0.3
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.05])
+@pytest.mark.parametrize("twist_mm", [20.0, 40.0, 60.0])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_so_they_are_on_stiffer_springs_from_any_twist_of_the_ground(stiff, side, twist_mm, spread) -> None:
+    ground_mm, stroke = twisted(side * twist_mm), wrong_way(side)
+    body = Standing(stiff, ground_mm, round(twist_mm), spread)
+    assert hangs(body, stroke, side)
+    check(run(stiff, ground_mm, 0, stroke, body=body))
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    twist_mm=st.floats(20.0, 60.0),
+    side=st.sampled_from([-1.0, 1.0]),
+    slope_deg=st.floats(0.0, 5.0),
+    down_deg=st.floats(-180.0, 180.0),
+    seed=st.integers(0, 1000),
+)
+def test_so_they_are_on_any_slope(stiff, twist_mm, side, slope_deg, down_deg, seed) -> None:
+    down = math.radians(down_deg)
+    ground_mm = twisted(side * twist_mm) + sloping(slope_deg * math.sin(down), slope_deg * math.cos(down))
+    stroke = wrong_way(side)
+    body = Standing(stiff, ground_mm, seed)
+    assume(hangs(body, stroke, side))
+    check(run(stiff, ground_mm, seed, stroke, body=body))
+
+
+@pytest.mark.parametrize("place_m", [(0.0, 0.0), (0.25, -0.2), (-0.25, 0.2)])
+@pytest.mark.parametrize("twist_mm", [45.0, -55.0])
+def test_so_they_are_under_a_payload_that_is_known(stiff, monkeypatch, twist_mm, place_m) -> None:
+    """As estimated in driving; at a standstill nothing tells a payload in the middle."""
+    payload_kg, x, y = 20.0, *place_m
+    mass_kg = stiff.situation.contact.mass_kg + payload_kg
+    known = Loads(mass_kg=mass_kg, com_m=(x * payload_kg / mass_kg, y * payload_kg / mass_kg, 0.0))
+    loaded = lambda design, state, inputs, estimate, loads, dt: contact_step(  # noqa: E731
+        design, state, inputs, estimate, known, dt
+    )
+    contact_step = contact.step
+    monkeypatch.setattr(contact, "step", loaded)
+    ground_mm, stroke = twisted(twist_mm), wrong_way(twist_mm)
+    body = Standing(stiff, ground_mm, 3, payload_kg=payload_kg, place_m=place_m)
+    assert hangs(body, stroke, math.copysign(1.0, twist_mm))
+    check(run(stiff, ground_mm, 3, stroke, body=body))
 
 
 def test_the_attitude_stays_near_level_once_four_wheels_touch(design) -> None:
@@ -174,10 +283,10 @@ def test_the_attitude_stays_near_level_once_four_wheels_touch(design) -> None:
     ("twist_mm", "roll_deg", "pitch_deg", "seed"),
     [(70.0, 1.0, 0.0, 1), (75.0, 0.0, -1.5, 2), (80.0, -1.0, 1.0, 3)],
 )
-def test_a_hanging_wheel_is_brought_down_on_a_slope(design, twist_mm, roll_deg, pitch_deg, seed) -> None:
-    x, y = np.array([500, 500, -500, -500.0]), np.array([600, -600, 600, -600.0])
-    slope = y * math.radians(roll_deg) - x * math.radians(pitch_deg)
-    result = run(design, twisted(-twist_mm) + slope, seed, WRONG_WAY)
+def test_a_twist_beyond_reach_is_followed_as_far_as_the_strokes_go(
+    design, twist_mm, roll_deg, pitch_deg, seed
+) -> None:
+    result = run(design, twisted(-twist_mm) + sloping(roll_deg, pitch_deg), seed, WRONG_WAY)
     assert result.load_n[-1].min() > 60.0
     beyond = max(0.0, twist_mm - design.leveling.suspension.warp_most_mm)
     assert abs(result.difference[-1]) < 0.10 + 2.0 * beyond * 1.6 / 196.0
@@ -201,7 +310,7 @@ def test_on_flat_ground_it_only_probes(design) -> None:
     result = run(design, twisted(0.0), 1)
     assert np.abs(result.difference).max() < 0.12
     assert np.abs(result.difference[-1]) < 0.02
-    assert np.abs(result.stroke_mm[-1] - 35.0).max() < 1.0
+    assert abs(result.stroke_mm[-1] @ np.array(WARP)) / 4.0 < 0.5
     assert np.ptp(result.stroke_mm[-400:], axis=0).max() < 0.05
 
 

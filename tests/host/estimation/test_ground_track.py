@@ -100,3 +100,25 @@ def test_before_the_first_metre_nothing_is_claimed(design) -> None:
     twist_mm, sigma_mm = ground_track.twist(design, ground_track.initial_state(design))
     assert twist_mm == 0.0
     assert sigma_mm == pytest.approx(load_robot().contact.expected_twist_mm)
+
+
+def test_on_flat_ground_after_hollows_the_twist_does_not_go_on_alternating(design) -> None:
+    """A twist that changes sign every wheelbase has no mean slope: only that this is unlikely tells."""
+
+    def hollows(x: float) -> float:
+        return 30.0 * math.sin(2.0 * math.pi * (x - 1.0) / 2.2) ** 3 if 1.0 < x < 4.0 else 0.0
+
+    _, rows = drive(design, hollows, 9.0)
+    place, true, found = np.array(rows).T
+    assert np.abs(found[place < 5.0] - true[place < 5.0]).max() > 3.0
+    flat = place > 4.0 + HALF_BASE_M + 1.6 * 2.0 * HALF_BASE_M
+    assert np.abs(found[flat]).max() < 1.0
+
+
+def test_a_plateau_under_one_side_keeps_its_twist_while_only_one_axle_is_on_it(design) -> None:
+    """The mean stays the same there too, but not for a whole wheelbase."""
+    _, rows = drive(design, lambda x: 30.0 if x > 2.0 else 0.0, 3.4)
+    place, true, found = np.array(rows).T
+    there = (place > 1.7) & (place < 2.4)
+    assert true[there].min() == 15.0
+    assert found[there].min() > 10.0
