@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field
 
 import pytest
@@ -140,6 +141,17 @@ def test_commands_are_refreshed_at_50_hz_and_speeds_read_as_often() -> None:
     bench.run(1000, command=(10.0, 10.0))
     assert len([out for out in bench.sent if out.startswith(b"!S")]) - before == pytest.approx(50, abs=1)
     assert len([out for out in bench.sent if out == b"?S\r" * 3]) - queries == pytest.approx(50, abs=1)
+
+
+def test_motor_currents_are_read_twelve_times_a_second_and_nothing_less_than_once() -> None:
+    bench = Bench().started()
+    before = len(bench.sent)
+    bench.run(2000, command=(10.0, 10.0))
+    asked = Counter(out.split(b"\r")[0] for out in bench.sent[before:] if out[:1] in b"?~")
+    assert asked[b"?A"] == pytest.approx(25, abs=1)
+    assert asked[b"?FF"] == pytest.approx(50, abs=2)
+    assert asked[b"~RWD"] >= 6
+    assert min(asked[query] for query in (b"?V", b"?BA", b"?FS", b"?FM", b"?T")) >= 3
 
 
 def test_hold_stops_the_motors() -> None:
