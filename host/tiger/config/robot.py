@@ -286,6 +286,9 @@ class OdometryConfig(_Section):
     mag_noise_ut: Positive
     mag_lag_s: NonNegative
     mag_gate_sigmas: Positive
+    mag_lasting_ut: Positive
+    mag_lasting_s: Positive
+    mag_longest_doubt_s: Positive
     mag_up_noise_ut: Positive
     mag_up_learning: Annotated[float, Field(ge=0.0, le=1.0, strict=True)]
     least_speed_mps: Positive

@@ -85,6 +85,8 @@ class Magnetic:
 
     sample_ut: Three = (0.0, 0.0, 0.0)  # last used
     up_ut: float = 0.0  # vertical component
+    off_ut: tuple[float, float] = (0.0, 0.0)  # how far the last samples were off together, ahead and left
+    doubted_s: float = 0.0  # for how long the field has not been used
     found: bool = False
 
 
@@ -286,7 +288,7 @@ def _corrected(
         measured.append(_slides_little(design, state, often))
     magnetic = held.magnetic
     if raw is not None and raw.mag_ut != magnetic.sample_ut:
-        motion, magnetic, north = _with_field(config, motion, magnetic, raw.mag_ut)
+        motion, magnetic, north = _with_field(config, motion, magnetic, raw.mag_ut, dt)
         measured += north
 
     errors, covariance = inertial.correct(covariance, measured)
@@ -373,7 +375,7 @@ def _slides_little(design: OdometryDesign, state: OdometryState, often: float) -
 
 
 def _with_field(
-    config: OdometryConfig, motion: Motion, magnetic: Magnetic, mag_ut: Three
+    config: OdometryConfig, motion: Motion, magnetic: Magnetic, mag_ut: Three, dt: float
 ) -> tuple[Motion, Magnetic, list[Measurement]]:
     """Look at a magnetometer sample, turned level; the first one is what Earth's field is taken for.
 
@@ -391,21 +393,39 @@ def _with_field(
     if not magnetic.found:
         field_ut = (cos_yaw * level_x - sin_yaw * level_y, sin_yaw * level_x + cos_yaw * level_y)
         learned = replace(motion.learned, field_ut=field_ut)
-        return replace(motion, learned=learned), Magnetic(mag_ut, up, True), []
+        return replace(motion, learned=learned), Magnetic(mag_ut, up, found=True), []
     (north, west), (iron_x, iron_y) = motion.learned.field_ut, motion.learned.iron_ut
     ahead, left = cos_yaw * north + sin_yaw * west, cos_yaw * west - sin_yaw * north
-    off, gate = up - magnetic.up_ut, config.mag_gate_sigmas
-    if abs(off) > gate * config.mag_up_noise_ut:
-        return motion, replace(magnetic, sample_ut=mag_ut), []
-    magnetic = Magnetic(mag_ut, magnetic.up_ut + config.mag_up_learning * off, True)
+    misses, gate = (level_x - ahead - iron_x, level_y - left - iron_y), config.mag_gate_sigmas
+    magnetic = _doubted(config, magnetic, mag_ut, misses, up - magnetic.up_ut, dt)
+    if magnetic.doubted_s > 0.0:
+        return motion, magnetic, []
     variance = config.mag_noise_ut**2
     along = {YAW: left, FX: cos_yaw, FY: sin_yaw, HX: 1.0, PITCH: -up}
     across = {YAW: -ahead, FX: -sin_yaw, FY: cos_yaw, HY: 1.0, ROLL: up}
-    measured = [
-        Measurement(along, level_x - ahead - iron_x, variance, gate),
-        Measurement(across, level_y - left - iron_y, variance, gate),
-    ]
+    measured = [Measurement(along, misses[0], variance, gate), Measurement(across, misses[1], variance, gate)]
     return motion, magnetic, measured
+
+
+def _doubted(
+    config: OdometryConfig,
+    magnetic: Magnetic,
+    mag_ut: Three,
+    misses_ut: tuple[float, float],
+    up_miss_ut: float,
+    dt: float,
+) -> Magnetic:
+    """See whether the field is Earth's: a magnet's comes slowly, and its samples are off together."""
+    share = min(dt / config.mag_lasting_s, 1.0)
+    (x, y), (ahead, left) = magnetic.off_ut, misses_ut
+    x, y = x + share * (ahead - x), y + share * (left - y)
+    lasting_ut = config.mag_lasting_ut * (0.5 if magnetic.doubted_s > 0.0 else 1.0)
+    wrong = hypot(x, y) > lasting_ut or abs(up_miss_ut) > config.mag_gate_sigmas * config.mag_up_noise_ut
+    doubted_s = magnetic.doubted_s + dt if wrong else 0.0
+    if doubted_s > config.mag_longest_doubt_s:
+        x = y = doubted_s = 0.0
+    up = magnetic.up_ut + (0.0 if doubted_s > 0.0 else config.mag_up_learning * up_miss_ut)
+    return Magnetic(mag_ut, up, (x, y), doubted_s, True)
 
 
 # ---- what is shown --------------------------------------------------

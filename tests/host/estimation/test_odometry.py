@@ -261,6 +261,52 @@ def test_a_magnet_beside_the_way_turns_no_heading() -> None:
     assert np.degrees(np.abs(result.column(3))).max() < 1.0
 
 
+@pytest.mark.parametrize("most_ut", [2.0, 5.0, 15.0])
+def test_a_magnet_that_is_slowly_passed_turns_no_heading(most_ut: float) -> None:
+    """No sample of it is off by much, but all of them are off together."""
+
+    def passing(time_s: float) -> float:
+        return most_ut * sin(pi * (time_s - 40.0) / 15.0) if 40.0 < time_s < 55.0 else 0.0
+
+    result = ride(Driven(ramp(STAND_S, 0.7), wander, disturbance_ut=passing, seed=2), 70.0)
+    assert np.degrees(np.abs(result.column(3))).max() < 1.5
+
+
+def test_a_sensor_that_has_not_woken_up_is_not_believed() -> None:
+    """It reads zero of everything, which is neither level nor without a bias."""
+    state = OdometryState()
+    asleep = ImuRawSample(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    for inputs, estimate, truth in Driven().run(5.0):
+        if truth.time_s < 1.0:
+            inputs = replace(inputs, imu_raw=replace(asleep, t_s=truth.time_s))
+        state, believed = dead_reckoning.step(DESIGN, state, inputs, estimate, 0.01)
+        assert state.begun == (truth.time_s >= 1.0)
+    assert degrees(state.motion.learned.gyro_bias_radps[2]) == pytest.approx(0.9, abs=0.05)
+    assert abs(degrees(believed.yaw_rad)) < 0.5
+
+
+def bias_at_standstill_degps(felt_degps: float, from_s: float, until_s: float) -> float:
+    """The yaw gyro's bias as learned while the wheels stand and the gyro feels more from some time on."""
+    state = OdometryState()
+    for inputs, estimate, truth in Driven().run(until_s):
+        raw = inputs.imu_raw
+        if raw is not None and truth.time_s > from_s:
+            p, q, r = raw.gyro_radps
+            inputs = replace(inputs, imu_raw=replace(raw, gyro_radps=(p, q, r + radians(felt_degps))))
+        state, _ = dead_reckoning.step(DESIGN, state, inputs, estimate, 0.01)
+    return degrees(state.motion.learned.gyro_bias_radps[2])
+
+
+def test_a_turn_before_the_first_tooth_is_no_bias_of_the_gyro() -> None:
+    """Driving off turns the body a little while the wheel sensors still say that it stands."""
+    before = bias_at_standstill_degps(0.0, 20.0, 20.5)
+    assert bias_at_standstill_degps(-0.8, 20.0, 20.5) == pytest.approx(before, abs=0.003)
+
+
+def test_a_bias_that_has_jumped_is_learned_anew() -> None:
+    assert bias_at_standstill_degps(0.5, 20.0, 60.0) == pytest.approx(1.4, abs=0.05)
+
+
 @pytest.mark.parametrize("ratio", [0.15, -0.15])
 @pytest.mark.parametrize("wheels", range(1, 16))
 def test_five_seconds_of_slip_of_any_wheels_cost_little(wheels: int, ratio: float) -> None:

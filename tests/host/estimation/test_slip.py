@@ -145,3 +145,35 @@ def test_wheels_that_slip_teach_no_scrub() -> None:
     for _ in range(500):
         state = slip.step(CONFIG, state, wheels, (False, True, True, True), 1.0, 0.01, 0.3, DT)
     assert state.scrub == 1.5
+
+
+def test_wheels_that_parted_and_agree_again_hold() -> None:
+    """Whatever inertia has come to think of the speed meanwhile."""
+    apart, together = rolling(1.0, ratio=(0.0, 0.0, 0.3, -0.3)), rolling(1.0)
+    state = follow(0.8, apart, 1.0)
+    assert state.parted
+    wheels = slip.told(together, TRACK, 0.0, 0.0, 1.0)
+    assert slip.trusted(CONFIG, state, wheels, 0.8, 0.01, 0.0) == slip.NONE
+    state = follow(0.8, together, CONFIG.agree_s + 2 * DT, state)
+    assert slip.trusted(CONFIG, state, wheels, 0.8, 0.01, 0.0) == ALL
+    assert slip.plausible(CONFIG, state, 1.0, 0.8, 0.01, 0.0)
+    assert not follow(1.0, together, DT, state).parted
+
+
+def test_wheels_that_slip_alike_from_the_start_are_not_believed_for_their_number() -> None:
+    surface = rolling(1.0, ratio=(0.15,) * 4)
+    state = follow(1.0, surface, 2.0, follow(1.0, rolling(1.0), 1.0))
+    assert not state.parted
+    wheels = slip.told(surface, TRACK, 0.0, 0.0, 1.0)
+    assert slip.trusted(CONFIG, state, wheels, 1.0, 0.01, 0.0) == slip.NONE
+
+
+@pytest.mark.parametrize(("scrub", "believed"), [(1.0, True), (1.9, True), (0.6, False), (2.6, False)])
+def test_an_axle_that_scrubs_its_own_way_in_a_turn_is_believed(scrub: float, believed: bool) -> None:
+    """Rear wheels that slide about in a bend, one ahead and one back, still tell the speed together."""
+    front, rear = rolling(1.0, 0.5, 1.4), rolling(1.0, 0.5, scrub)
+    wheels = slip.told((front[0], front[1], rear[2], rear[3]), TRACK, 0.0, 0.5, 1.4)
+    assert slip.trusted(CONFIG, SlipState(slipping=(False, False, True, True)), wheels, 1.0, 0.01, 0.5) == (
+        *(True, True),
+        *(believed, believed),
+    )
