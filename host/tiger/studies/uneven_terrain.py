@@ -218,11 +218,11 @@ def _series(ride: Ride) -> dict[str, Array]:
 def bound(ground_deg: Array, limits_degps: tuple[float, float]) -> tuple[Array, float]:
     """Return what the best rate-limited motion leaves of the ground (n, 2) that it knows beforehand.
 
-    Second, how far below it the true optimum may lie, as a share of its sum of squares.
+    Second, how far below it the true optimum may lie: sums of squares, as a share of the ground's.
     """
     rate, left = nearest_motion(ground_deg, limits_degps, SAMPLE_S, ITERATIONS)
     gap = distance_to_optimum(rate, left, limits_degps, SAMPLE_S)
-    return left, gap / max(float((left**2).sum()), 1e-12)
+    return left, gap / float((_rms(ground_deg) ** 2).sum() * len(ground_deg))
 
 
 def without_foresight(
