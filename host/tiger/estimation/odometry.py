@@ -66,17 +66,17 @@ class OdometryDesign:
 
     config: OdometryConfig
     noise: Noise
-    drive: DriveDesign
     wheel_radius_m: float
     com_height_m: float
     imu_height_m: float  # over the COM
     drive_slip_s2pm: float  # slip ratio for each m/s2 that the wheels push
     side_slip_s2pm: float
-    track_offset_m: float  # measured at half the stroke, less what the mechanism's drawing says
+    half_track_m: tuple[float, ...]
+    """At each whole millimetre of stroke: the vehicle's at half of it, changed by the mechanism."""
 
     def half_track_at(self, stroke_mm: float) -> float:
-        """Half the track at a wheel in m: the vehicle's at half its stroke, changed by the mechanism."""
-        return half_track_m(self.drive, stroke_mm) + self.track_offset_m
+        """Half the track at a wheel in m."""
+        return self.half_track_m[min(max(round(stroke_mm), 0), len(self.half_track_m) - 1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,18 +124,21 @@ def design_odometry(robot: RobotConfig) -> OdometryDesign:
     """Prepare the filter; tyre stiffness is that of the vehicle's tyre under its static load."""
     vehicle, config = robot.vehicle, robot.odometry
     ahead, across = load_tire_set().stiffness_per_load
-    drive = design_drive(robot)
     return OdometryDesign(
         config=config,
         noise=inertial.make_noise(config),
-        drive=drive,
         wheel_radius_m=vehicle.tire.rolling_radius_m * robot.drive.wheel_radius_factor,
         com_height_m=vehicle.body.com_height_m,
         imu_height_m=vehicle.imu_offset_m[2],
         drive_slip_s2pm=1.0 / (ahead * GRAVITY_MPS2),
         side_slip_s2pm=1.0 / (across * GRAVITY_MPS2),
-        track_offset_m=vehicle.body.half_track_m - half_track_m(drive, 0.5 * drive.stroke_max_mm),
+        half_track_m=_half_track_by_millimetre(design_drive(robot), vehicle.body.half_track_m),
     )
+
+
+def _half_track_by_millimetre(drive: DriveDesign, at_half_stroke_m: float) -> tuple[float, ...]:
+    offset_m = at_half_stroke_m - half_track_m(drive, 0.5 * drive.stroke_max_mm)
+    return tuple(half_track_m(drive, float(mm)) + offset_m for mm in range(round(drive.stroke_max_mm) + 1))
 
 
 def step(
