@@ -102,9 +102,8 @@ class PayloadDesign:
 class Span:
     """What is gathered from one update to the next: where it began, and sums over its samples."""
 
-    from_mps: float
-    """Speed of the wheels, pitch rate, and drive force when it began."""
     from_radps: float
+    """Pitch rate and drive force when it began."""
     from_n: float
     tells: bool
     """It began with a reading of the currents, and the robot has rolled straight on since."""
@@ -237,7 +236,7 @@ def step(design: PayloadDesign, state: PayloadState, now: Measured, dt: float) -
     fx, fy = now.ahead_mps2, now.left_mps2
     begun, wheels_mps = state.span, now.wheels_mps
     if begun is None:
-        span = Span(wheels_mps, now.pitch_rate_radps, 0.0, tells=False)
+        span = Span(now.pitch_rate_radps, 0.0, tells=False)
         return PayloadState(state.mean, state.covariance, span, (fx, fy))
     share = dt / (dt + design.lag_s)
     ahead, left = state.tilting_mps2
@@ -246,7 +245,6 @@ def step(design: PayloadDesign, state: PayloadState, now: Measured, dt: float) -
     if abs(wheels_mps) > design.config.moving_mps:
         direction = 1.0 if wheels_mps > 0.0 else -1.0
     span = Span(
-        begun.from_mps,
         begun.from_radps,
         begun.from_n,
         begun.tells and direction != 0.0 and now.straight,
@@ -273,7 +271,7 @@ def step(design: PayloadDesign, state: PayloadState, now: Measured, dt: float) -
         if not stands or math.isnan(segment.travelled_m):
             means = _means(design, span, now, drive_n)
             mean, covariance, segment = _updated(design, mean, covariance, segment, means, stood)
-        span, stood = Span(wheels_mps, now.pitch_rate_radps, drive_n, now.fresh), stands
+        span, stood = Span(now.pitch_rate_radps, drive_n, now.fresh), stands
     return PayloadState(mean, covariance, span, (ahead, left), drive_n, yaw_nm, segment, stood)
 
 
@@ -316,13 +314,14 @@ class _Means(NamedTuple):
     pitch_rad: float
     posed_roll_rad: float
     posed_pitch_rad: float
-    ahead_mps2: float
     tilting_ahead_mps2: float
     tilting_left_mps2: float
     turn_radps2: float
     """Acceleration of the pitch."""
+    gained_mps2: float
+    """Acceleration at the accelerometer's place, along the body's x axis."""
     spin_mps2: float
-    """Acceleration of the wheels' spin, at their circumference."""
+    """Acceleration of the wheels' centres, which is that of their spin."""
     drive_n: float
     yaw_nm: float
     direction: float
@@ -335,18 +334,20 @@ class _Means(NamedTuple):
 def _means(design: PayloadDesign, span: Span, now: Measured, drive_n: float) -> _Means:
     """A reading of the currents stands until the next one: its mean is that of half an interval before."""
     n, time = float(span.samples), span.time_s
+    pitch, posed = span.pitch_rad / n, span.posed_pitch_rad / n
     turn = (now.pitch_rate_radps - span.from_radps) / time
+    gained = span.ahead_mps2 / n + GRAVITY_MPS2 * math.sin(pitch + posed)
     late = _CURRENT_LAG_S / time + 0.5 / max(1, span.readings)
     return _Means(
         span.roll_rad / n,
-        span.pitch_rad / n,
+        pitch,
         span.posed_roll_rad / n,
-        span.posed_pitch_rad / n,
-        span.ahead_mps2 / n,
+        posed,
         span.tilting_ahead_mps2 / n,
         span.tilting_left_mps2 / n,
         turn,
-        (now.wheels_mps - span.from_mps) / time + design.radius_m * turn,  # wheels count from the body
+        gained,
+        gained - (design.imu_height_m - design.radius_m) * turn,
         span.drive_n / n + late * (drive_n - span.from_n),
         span.yaw_nm / n,
         span.direction / n,
@@ -391,9 +392,7 @@ def _driven(design: PayloadDesign, mean: Array, seen: _Means) -> tuple[Array, fl
 def _gained_mps2(design: PayloadDesign, mean: Array, seen: _Means) -> float:
     """Acceleration of the centre of all masses along the body's x axis."""
     height = _lever(design, mean)[0] / (design.empty_kg + float(mean[MASS]))
-    pitch = seen.pitch_rad + seen.posed_pitch_rad
-    at_imu = seen.ahead_mps2 + GRAVITY_MPS2 * math.sin(pitch)
-    return at_imu - (design.imu_height_m - height) * seen.turn_radps2
+    return seen.gained_mps2 - (design.imu_height_m - height) * seen.turn_radps2
 
 
 def _updated(

@@ -251,11 +251,19 @@ def test_side_forces_that_answer_the_motors_lean_a_pitched_body() -> None:
 def test_a_pitching_body_does_not_count_as_gaining_speed() -> None:
     """The accelerometer sits above the centre of all masses and is carried ahead of it."""
     design, mean = DESIGN.payload, np.zeros(STATES)
-    swinging = seen_with(ahead_mps2=design.imu_height_m * 2.0, turn_radps2=2.0)
+    swinging = seen_with(gained_mps2=design.imu_height_m * 2.0, turn_radps2=2.0)
     height = design.lever_kgm / design.empty_kg
     assert payload._gained_mps2(design, mean, swinging) == pytest.approx(2.0 * height)
-    uphill = seen_with(ahead_mps2=G * np.sin(0.1), pitch_rad=-0.06, posed_pitch_rad=-0.04)
-    assert payload._gained_mps2(design, mean, uphill) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_standing_uphill_does_not_count_as_gaining_speed() -> None:
+    design = DESIGN.payload
+    now = measured(ahead_mps2=G * np.sin(0.1), pitch_rad=-0.06, posed_pitch_rad=-0.04)
+    span = payload.step(design, payload.initial_state(design), now, 0.01).span
+    assert span is not None
+    span = payload.step(design, payload.PayloadState(design.mean, design.covariance, span), now, 0.01).span
+    assert span is not None
+    assert payload._means(design, span, now, 0.0).gained_mps2 == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_drive_force_that_nothing_explains_opens_the_resistance_of_the_ground() -> None:
