@@ -182,12 +182,14 @@ class StabilityConfig(_Section):
     crawl_mps: Positive
     foresight_s: Positive
     trend_m: Positive
+    trend_along_m: Positive
     load_sigma_kg: Positive
     load_sigma_m: Positive
     smooth_s: Positive
     late_s: NonNegative
     upright_s: Positive
     slope_s: Positive
+    slope_along_s: Positive
     warning_margin: Annotated[float, Field(gt=0.0, lt=1.0, strict=True)]
     warning_time_s: Positive
     warning_hold_s: Positive

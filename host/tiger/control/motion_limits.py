@@ -39,6 +39,9 @@ FARTHEST = 10.0
 """Times the way that a trend was seen over: so far it is taken to go on."""
 STOP = (0.0, 0.0)
 
+LEAD_S = 0.25
+"""So far may a limited speed run ahead of the robot's."""
+
 ENOUGH_MPS = 0.5
 """A smaller change of speed is over before it tips anything, however sudden."""
 
@@ -58,7 +61,8 @@ class LimiterDesign:
     crawl_radps: float
     foresight_s: float
     half_wheelbase_m: float
-    trend_m: float
+    trend_m: tuple[float, float]
+    """Along, where driving rocks the body, and across."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +71,9 @@ class LimiterState:
 
     speed_mps: float = 0.0
     """Commanded, within the accelerations."""
-    used: float = 0.0
-    """How much of the way to the nearest edge the slope takes at rest (1: all)."""
-    per_m: float = 0.0
+    used: tuple[float, float] = (0.0, 0.0)
+    """How much of the way to an edge the slope takes at rest (1: all), along and across."""
+    per_m: tuple[float, float] = (0.0, 0.0)
     """How much that grows with every metre forward."""
 
 
@@ -97,7 +101,7 @@ def design_limiter(robot: RobotConfig) -> LimiterDesign:
         crawl_radps=config.crawl_mps / body.half_track_m,
         foresight_s=config.foresight_s,
         half_wheelbase_m=0.5 * (body.com_to_front_axle_m + body.com_to_rear_axle_m),
-        trend_m=config.trend_m,
+        trend_m=(config.trend_along_m, config.trend_m),
     )
 
 
@@ -200,21 +204,21 @@ def step(
             limited, cause = limited | CURVATURE, LimitCause.TURN
 
     # The slope: stop before it takes too much, go back, turn only where it takes less.
-    per_m = state.per_m
-    if state.used and abs(moving_mps) > 0.5 * design.crawl_mps and state.used < share:
-        more, travel = used - state.used, moving_mps * dt
-        per_m += ((more if moving_mps > 0.0 else -more) - abs(travel) * per_m) / design.trend_m
-    growth = per_m if speed > 0.0 else -per_m
-    # The axle ahead stands on that ground already.
-    ahead = used + max(0.0, growth) * (fastest * design.foresight_s + design.half_wheelbase_m)
-    slowest = inf
-    if ahead > share:
-        slowest = 0.0 if growth > 0.0 else design.crawl_mps
-    elif (
-        share - ahead < FARTHEST * design.trend_m * growth
-    ):  # with half the braking it stops before the bound
-        brake = max(hardest, design.brake_min_mps2)
-        slowest = sqrt(min(design.acceleration_mps2, brake) * (share - ahead) / growth)
+    slowest, per_m = inf, []
+    brake = max(hardest, design.brake_min_mps2)
+    for axis, taken in enumerate((used_x, used_y)):
+        trend_m, before, grows = design.trend_m[axis], state.used[axis], state.per_m[axis]
+        if before and abs(moving_mps) > 0.5 * design.crawl_mps and before < share:
+            more = taken - before if moving_mps > 0.0 else before - taken
+            grows += (more - abs(moving_mps) * dt * grows) / trend_m
+        per_m.append(grows)
+        growth = grows if speed > 0.0 else -grows
+        # The axle ahead stands on that ground already.
+        ahead = taken + max(0.0, growth) * (fastest * design.foresight_s + design.half_wheelbase_m)
+        if ahead > share:
+            slowest = min(slowest, 0.0 if growth > 0.0 else design.crawl_mps)
+        elif share - ahead < FARTHEST * trend_m * growth:  # with half the braking it stops before the bound
+            slowest = min(slowest, sqrt(min(design.acceleration_mps2, brake) * (share - ahead) / growth))
     if abs(speed) > slowest:
         speed, limited, cause = copysign(slowest, speed), limited | SPEED, LimitCause.SLOPE
     turned = _turn(design, ground, used, yaw) if yaw else yaw
@@ -224,13 +228,18 @@ def step(
     if tripped and (speed or yaw):
         speed, yaw, limited, cause = 0.0, 0.0, limited | SPEED, LimitCause.TRIP
 
-    slewed = _slew(design, state.speed_mps, speed, to_front, to_rear, dt)
+    now = state.speed_mps
+    if design.acceleration_mps2 > hardest and cause != LimitCause.SLOPE:
+        # What the robot lags behind, its speed loop makes up for all the harder; a slope cannot wait.
+        lead = max(design.crawl_mps, LEAD_S * hardest)
+        now = min(moving_mps + lead, max(moving_mps - lead, now))
+    slewed = _slew(design, now, speed, to_front, to_rear, dt)
     if slewed != speed and design.acceleration_mps2 > hardest:
         edge = FRONT if speed < slewed else REAR
         would_tip |= abs(speed - slewed) > ENOUGH_MPS and design.acceleration_mps2 > ground.bound(edge, 1.0)
         speed, limited = slewed, limited | ACCELERATION
         cause = cause or LimitCause.BRAKING
-    known = LimiterState(slewed, used, per_m)
+    known = LimiterState(slewed, (used_x, used_y), (per_m[0], per_m[1]))
     if command == STOP and not limited & ACCELERATION:
         limited, cause = 0, LimitCause.NOTHING
     return known, Allowed(speed, yaw, limited, cause, would_tip or used > 1.0)

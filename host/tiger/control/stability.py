@@ -260,9 +260,9 @@ def _judged(
     by_springs, dived = tip_over.spring_lean(stance, force, turn)
     lean = by_springs + by_strokes, dived + pitched
     ground_roll, ground_pitch = old.plane_rad
-    new = dt / (config.slope_s + dt)
+    new, new_along = dt / (config.slope_s + dt), dt / (config.slope_along_s + dt)
     ground_roll += new * (atan2(upright[1], upright[2]) - lean[0] - ground_roll)
-    ground_pitch += new * (atan2(-upright[0], upright[2]) - lean[1] - ground_pitch)
+    ground_pitch += new_along * (atan2(-upright[0], upright[2]) - lean[1] - ground_pitch)
     plane, is_tripped = (ground_roll, ground_pitch), tripping.hold_s > 0.0
     margin, edge, soonest, transfers = _margins(stance, lean, force, turn, motion)
     limiter, allowed = old.limiter, Allowed(*asked)

@@ -135,13 +135,34 @@ def test_it_brakes_no_harder_than_the_load_allows() -> None:
     assert 0.0 < 3.0 - allowed.speed_mps <= DESIGN.acceleration_mps2 * DT
 
 
+def test_a_limited_speed_does_not_run_away_from_a_robot_that_lags() -> None:
+    """What it lags behind, its speed loop would make up for with more than the limit."""
+    steep = motion_limits.footing(TALL, (0.0, math.radians(17.0)), 5.0)
+    state = LimiterState(speed_mps=3.0, used=steep.at_rest())
+    for _ in range(200):  # two seconds in which the robot does not brake at all
+        state, allowed = motion_limits.step(DESIGN, state, steep, (0.0, 0.0), 3.0, False, DT)
+    hardest = steep.bound(FRONT, SHARE)
+    assert allowed.speed_mps == pytest.approx(3.0 - hardest * (motion_limits.LEAD_S + DT), abs=0.05)
+
+
+def test_driving_rocks_the_body_and_is_no_slope() -> None:
+    """Swinging once a second by a degree hardly slows down a robot on a constant slope."""
+    state, least = LimiterState(speed_mps=1.0), 1.0
+    for k in range(500):
+        plane = (0.0, math.radians(9.0 + 1.0 * math.sin(2.0 * math.pi * k * DT)))
+        ground = motion_limits.footing(TALL, plane, 5.0)
+        state, allowed = motion_limits.step(DESIGN, state, ground, (1.0, 0.0), 1.0, False, DT)
+        least = min(least, allowed.speed_mps)
+    assert least > 0.8
+
+
 def test_braking_that_would_tip_it_is_said_so() -> None:
     hard, steep = replace(DESIGN, acceleration_mps2=5.0), (0.0, math.radians(10.0))
     ground = motion_limits.footing(TALL, steep, 5.0)
     assert ground.bound(FRONT, 1.0) < 5.0 < ground.bound(REAR, 1.0)
 
     def told(now: float, wanted: float) -> bool:
-        state = LimiterState(speed_mps=now, used=max(ground.at_rest()))
+        state = LimiterState(speed_mps=now, used=ground.at_rest())
         return motion_limits.step(hard, state, ground, (wanted, 0.0), now, False, DT)[1].would_tip
 
     assert told(3.0, 0.0)
@@ -168,9 +189,9 @@ def test_what_a_side_slope_uses_is_not_there_for_braking() -> None:
 
 def test_a_slope_seen_over_a_short_way_is_not_taken_to_go_on_for_ever() -> None:
     ground = motion_limits.footing(TALL, (0.0, 0.01), 5.0)
-    rising = LimiterState(speed_mps=3.0, used=max(ground.at_rest()), per_m=0.05)
+    rising = LimiterState(speed_mps=3.0, used=ground.at_rest(), per_m=(0.05, 0.0))
     assert motion_limits.step(DESIGN, rising, ground, (3.0, 0.0), 3.0, False, DT)[1].limited == 0
-    steep = LimiterState(speed_mps=3.0, used=max(ground.at_rest()), per_m=0.3)
+    steep = LimiterState(speed_mps=3.0, used=ground.at_rest(), per_m=(0.3, 0.0))
     assert motion_limits.step(DESIGN, steep, ground, (3.0, 0.0), 3.0, False, DT)[1].limited == SPEED
 
 

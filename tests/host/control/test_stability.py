@@ -102,7 +102,9 @@ def test_a_long_turn_is_not_taken_for_a_slope() -> None:
     state, _, _ = drive(design, Command())
     state, shown, _ = drive(design, Command(), state, 10.0, accel=(0.0, 3.0, 0.0), yaw_rate=1.0, speed=3.0)
     assert abs(math.degrees(math.atan2(state.motion.upright_mps2[1], state.motion.upright_mps2[2]))) < 1.0
-    assert shown.lateral_load_transfer == pytest.approx(-3.0 * state.judgement.stance.height_m / G / 0.6, rel=0.1)
+    assert shown.lateral_load_transfer == pytest.approx(
+        -3.0 * state.judgement.stance.height_m / G / 0.6, rel=0.1
+    )
 
 
 def test_a_payload_counts_when_it_is_known_and_never_lowers_the_com() -> None:
