@@ -9,8 +9,8 @@ the front axle had a wheelbase earlier, so the mean, followed over the distance 
 The recursion alone never forgets an error; a steady-state Kalman filter over the slopes between the axles
 (a delay line in steps of distance, fed by ground of a known restlessness) does, but slowly: slopes that
 alternate from one wheelbase to the next have no mean. Where the mean has stayed the same for a whole
-wheelbase, ground that mirrors itself so is far less likely than ground without twist, and the filter's
-slopes give way to the mean. Heights are in mm, half the
+wheelbase, and the filter's slopes differ from it by no more than they may be wrong, ground without twist is
+far likelier than ground that mirrors itself so, and they give way to the mean. Heights are in mm, half the
 difference of left and right wheel: front minus rear is twice the twist. Turning on the spot leads the rear
 wheels beside the track, and what is known fades. Backwards the axles change parts.
 """
@@ -37,6 +37,8 @@ _STEPS = 20
 """Of the wheelbase."""
 _CALM_SIGMAS = 3.0
 """Of the measurement: a mean that changes by less has stayed the same."""
+_NONE_SIGMAS = 3.0
+"""Of the twist: slopes that differ from their mean by less may have none."""
 _CALMING = 0.25
 """Of the wheelbase: where it has, two thirds of what the slopes differ from it go within this."""
 
@@ -136,7 +138,7 @@ def step(design: TrackDesign, state: TrackState, estimate: Estimate) -> TrackSta
         x = x + design.gain * (measured - 0.5 * (x[0] + x[_STEPS]))
         known += (1.0 - known) * design.step_m / design.settle_m
         calm_m += design.step_m
-        if calm_m > design.settle_m:
+        if calm_m > design.settle_m and np.abs(x[:-1] - measured).max() < _NONE_SIGMAS * design.sigma_mm:
             x[:-1] = measured + design.calming * (x[:-1] - measured)
             x[-1] *= design.calming
     travelled_m = state.travelled_m + design.step_m * int(driven_m / design.step_m)

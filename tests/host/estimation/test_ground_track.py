@@ -122,3 +122,15 @@ def test_a_plateau_under_one_side_keeps_its_twist_while_only_one_axle_is_on_it(d
     there = (place > 1.7) & (place < 2.4)
     assert true[there].min() == 15.0
     assert found[there].min() > 10.0
+
+
+def test_mounds_that_mirror_each_other_are_not_taken_for_even_ground(design) -> None:
+    """Left and right by turns, a wheelbase apart: the mean slope is none all along."""
+
+    def mounds(x: float) -> float:
+        return 30.0 * math.sin(math.pi * (x - 1.0)) if x > 1.0 else 0.0
+
+    _, rows = drive(design, mounds, 6.0)
+    _, true, found = np.array(rows[250:]).T
+    assert np.std(true) > 20.0
+    assert np.std(found - true) < 0.4 * np.std(true)
