@@ -35,8 +35,11 @@ if TYPE_CHECKING:
 SPEED, CURVATURE, ACCELERATION = 1, 2, 4
 """Bits of `Stability.limited`."""
 
-FARTHEST = 10.0
-"""Times the way that a trend was seen over: so far it is taken to go on."""
+FARTHEST_M = 2.5
+"""So far a slope that gets steeper is taken to go on."""
+
+LEVEL = 0.25
+"""Of `load_transfer_max`: below, what gets steeper is a bump."""
 STOP = (0.0, 0.0)
 
 LEAD_S = 0.25
@@ -217,7 +220,9 @@ def step(
         ahead = taken + max(0.0, growth) * (fastest * design.foresight_s + design.half_wheelbase_m)
         if ahead > share:
             slowest = min(slowest, 0.0 if growth > 0.0 else design.crawl_mps)
-        elif share - ahead < FARTHEST * trend_m * growth:  # with half the braking it stops before the bound
+        elif (
+            taken > LEVEL * share and share - ahead < FARTHEST_M * growth
+        ):  # with half the braking it stops before the bound
             slowest = min(slowest, sqrt(min(design.acceleration_mps2, brake) * (share - ahead) / growth))
     if abs(speed) > slowest:
         speed, limited, cause = copysign(slowest, speed), limited | SPEED, LimitCause.SLOPE

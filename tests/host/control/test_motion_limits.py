@@ -187,12 +187,16 @@ def test_what_a_side_slope_uses_is_not_there_for_braking() -> None:
     assert brakes[1] == pytest.approx(brakes[0] * (1.0 - used) * math.cos(math.radians(10.0)))
 
 
-def test_a_slope_seen_over_a_short_way_is_not_taken_to_go_on_for_ever() -> None:
-    ground = motion_limits.footing(TALL, (0.0, 0.01), 5.0)
-    rising = LimiterState(speed_mps=3.0, used=ground.at_rest(), per_m=(0.05, 0.0))
-    assert motion_limits.step(DESIGN, rising, ground, (3.0, 0.0), 3.0, False, DT)[1].limited == 0
-    steep = LimiterState(speed_mps=3.0, used=ground.at_rest(), per_m=(0.3, 0.0))
-    assert motion_limits.step(DESIGN, steep, ground, (3.0, 0.0), 3.0, False, DT)[1].limited == SPEED
+@pytest.mark.parametrize(
+    ("pitch_deg", "per_m", "limited"), [(9.0, 0.08, 0), (9.0, 0.3, SPEED), (2.0, 0.2, 0)]
+)
+def test_only_a_slope_that_is_one_is_taken_to_go_on_and_not_for_ever(
+    pitch_deg: float, per_m: float, limited: int
+) -> None:
+    ground = motion_limits.footing(TALL, (0.0, math.radians(pitch_deg)), 5.0)
+    state = LimiterState(speed_mps=1.0, used=ground.at_rest(), per_m=(per_m, 0.0))
+    allowed = motion_limits.step(DESIGN, state, ground, (1.0, 0.0), 1.0, False, DT)[1]
+    assert allowed.limited & SPEED == limited
 
 
 def test_after_a_trip_it_stops() -> None:
