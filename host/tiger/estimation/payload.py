@@ -127,6 +127,10 @@ class Span:
     travelled_m: float = 0.0
 
 
+NO_SPAN = Span(math.nan, 0.0, tells=False)
+"""Nothing was gathered yet."""
+
+
 @dataclass(frozen=True, slots=True)
 class Segment:
     """How rough the ground is: the variance of its local slope, and where a piece of it began."""
@@ -143,7 +147,7 @@ class PayloadState:
 
     mean: Array
     covariance: Array
-    span: Span | None = None
+    span: Span = NO_SPAN
     tilting_mps2: tuple[float, float] = (0.0, 0.0)
     """f_x and f_y as the tilt follows them."""
     drive_n: float = 0.0
@@ -235,7 +239,7 @@ def step(design: PayloadDesign, state: PayloadState, now: Measured, dt: float) -
     """Advance by `dt` seconds: gather a sample, and update when enough is gathered."""
     fx, fy = now.ahead_mps2, now.left_mps2
     begun, wheels_mps = state.span, now.wheels_mps
-    if begun is None:
+    if math.isnan(begun.from_radps):
         span = Span(now.pitch_rate_radps, 0.0, tells=False)
         return PayloadState(state.mean, state.covariance, span, (fx, fy))
     share = dt / (dt + design.lag_s)
