@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from tiger.config.robot import load_robot
-from tiger.emulation.scenarios import RoughConfig, Scenario, Start, TerrainConfig
+from tiger.config.vehicle import PayloadConfig
+from tiger.emulation.scenarios import RoughConfig, Roughness, Scenario, Start, TerrainConfig
 from tiger.estimation.attitude_observer import attitude_rad
 from tiger.record import Command, Mode
 from tiger.rig.virtual import Rig
@@ -24,11 +25,17 @@ if TYPE_CHECKING:
 DRIVE_AT_S, END_S = 8.0, 18.0
 
 
-def ride(speed_mps: float, mode: Mode) -> Array:
+def ride(
+    speed_mps: float, mode: Mode, roughness: Roughness = "C", payload: PayloadConfig | None = None
+) -> Array:
     """Start at once to a speed; one row a tick: time, true pitch, the Nano's, the estimate's, four duties."""
-    rough = RoughConfig(roughness="C", size_m=(60.0, 20.0), shortest_wave_m=1.0, seed=5)
+    rough = RoughConfig(roughness=roughness, size_m=(60.0, 20.0), shortest_wave_m=1.0, seed=5)
     scenario = Scenario(
-        title="a start", duration_s=END_S, start=Start(x_m=5.0), terrain=TerrainConfig(rough=rough)
+        title="a start",
+        duration_s=END_S,
+        start=Start(x_m=5.0),
+        terrain=TerrainConfig(rough=rough),
+        payload=payload,
     )
     rig = Rig(load_robot(None), scenario, 0)
     rig.daemon.command = Command(mode)
@@ -76,3 +83,12 @@ def test_at_a_walk_the_body_is_level_and_its_actuators_stay_cool(record_figure: 
     record_figure("mean square duty at 0.3 m/s over class C", heat, "0.1")
     assert rms < 0.05
     assert heat < 0.1
+
+
+def test_a_high_load_swinging_on_its_springs_is_not_taken_for_ground(record_figure: Callable) -> None:
+    """Else it comes back a wheelbase later, as ground ahead, and rocks the body for good."""
+    load = PayloadConfig(mass_kg=20.0, place_m=(0.0, 0.0, 0.25))
+    rows = ride(0.5, Mode.LEVEL, "A", load)
+    rms = float(rows[rows[:, 0] > DRIVE_AT_S + 4.0, 1].std())
+    record_figure("pitch RMS at 0.5 m/s over class A, 20 kg on top", rms, "0.05 degrees")
+    assert rms < 0.05
