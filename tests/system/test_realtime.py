@@ -81,3 +81,22 @@ def test_a_computer_that_stalls_stops_no_emulated_robot(tmp_path: Path) -> None:
     assert summary["stops"] == []
     assert summary["state"] == "ARMED"
     assert summary["armed_share"] > 0.5
+
+
+def test_killing_the_daemon_takes_its_emulated_robot_with_it(tmp_path: Path) -> None:
+    """Nothing is left of it but the log: no process that waits for a daemon, no lines in the temporary folder."""
+    command = [sys.executable, "-m", "tiger.cli.main", "run", "--emulate", "shaking-plate"]
+    own = {**os.environ, "TMPDIR": str(tmp_path), "TIGER_SOCKET": str(tmp_path / "robot.sock")}
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=own
+    ) as run:
+        assert run.stdout is not None
+        assert any("ARMED: armed" in line for line in run.stdout)
+        robot = _emulated_robot_of(run.pid)
+        assert list(tmp_path.glob("tiger-*"))
+        run.kill()
+    gone_by_s = time.monotonic() + 10.0
+    while Path(f"/proc/{robot}").exists():
+        assert time.monotonic() < gone_by_s, "the emulated robot outlives the daemon"
+        time.sleep(0.1)
+    assert not list(tmp_path.glob("tiger-*"))

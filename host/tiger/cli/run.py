@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tiger.record import Command, DaemonState, Record
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
     from tiger.devices.ports import PortProvider
     from tiger.emulation.scenarios import Scenario
     from tiger.logs.session import LogSession
-    from tiger.record import Record
     from tiger.rig.separate import SeparateRobot
 
 SERIES_HZ = 100.0
@@ -74,8 +75,6 @@ class Journal:
 
     def add(self, record: Record, time_s: float, truth_deg: tuple[float, float] | None, keep: bool) -> None:
         """Take one tick; `truth_deg` is the true roll and pitch where someone knows them."""
-        from tiger.record import DaemonState
-
         estimate = record.outputs.estimate
         attitude = (math.degrees(estimate.roll_rad), math.degrees(estimate.pitch_rad))
         self.ticks += 1
@@ -253,8 +252,6 @@ class _Driver:
 
     def after(self, record: Record) -> None:
         """Set the speed once the robot is armed, and take it back when it is not: arming needs neutral."""
-        from tiger.record import Command, DaemonState
-
         wishes = self.wishes
         if not (wishes.speed_mps or wishes.yaw_rate_radps):
             return

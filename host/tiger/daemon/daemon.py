@@ -75,7 +75,7 @@ SPEED_LEFT: Role = (BoardKind.MEGA_SPEED, 0)
 SPEED_RIGHT: Role = (BoardKind.MEGA_SPEED, 1)
 
 LIMITS_HZ = 50.0  # measurements held against their limits
-HOUSEKEEPING_HZ = 20.0  # ports opened, problems and link health gathered
+HOUSEKEEPING_HZ = 10.0  # ports opened, problems and link health gathered
 ARM_PATIENCE_S = 3.0  # how long a wish to arm lives
 SETTLING_S = 5.0  # after the start it is normal that something is not ready yet
 ARM_TIME_S = 1.0  # from ARM to every device reporting itself armed

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import shutil
 import tempfile
 import time
 from math import radians
@@ -138,6 +139,12 @@ def _serve(
     from tiger.emulation.scenarios import load_scenario
     from tiger.emulation.serve import PtyRobot
 
+    parent = multiprocessing.parent_process()
+
+    def orphaned() -> bool:
+        """Whether the daemon was killed, too suddenly to end this process and to tidy up."""
+        return parent is not None and not parent.is_alive()
+
     def each_step(robot: EmulatedRobot) -> bool:
         now = robot.truth()
         shared.skipped_s.value = served.skipped_s
@@ -145,11 +152,18 @@ def _serve(
         shared.truth[:] = SeparateTruth(now.time_s, now.roll_deg, now.pitch_deg, x_m, y_m, now.yaw_deg)
         shared.began_s.value = served.began_s
         while time.monotonic() - shared.asked_s.value > HOST_STALLED_S:
+            if orphaned():
+                return False
             time.sleep(PAUSE_S)
         return True
 
     robot = EmulatedRobot(vehicle, load_scenario(scenario), seed=seed)
     with contextlib.suppress(KeyboardInterrupt), PtyRobot(robot, Path(folder)) as served:
         ready.set()
-        begin.wait()
-        served.run(float("inf"), each_step)
+        while not begin.wait(1.0):
+            if orphaned():
+                break
+        else:
+            served.run(float("inf"), each_step)
+    if orphaned():
+        shutil.rmtree(folder, ignore_errors=True)
