@@ -84,7 +84,7 @@ def test_a_computer_that_stalls_stops_no_emulated_robot(tmp_path: Path) -> None:
 
 
 def test_killing_the_daemon_takes_its_emulated_robot_with_it(tmp_path: Path) -> None:
-    """Nothing is left of it but the log: no process that waits for a daemon, no lines in the temporary folder."""
+    """Nothing is left of it: no process that waits for a daemon, no lines in the temporary folder."""
     command = [sys.executable, "-m", "tiger.cli.main", "run", "--emulate", "shaking-plate"]
     own = {**os.environ, "TMPDIR": str(tmp_path), "TIGER_SOCKET": str(tmp_path / "robot.sock")}
     with subprocess.Popen(
