@@ -474,6 +474,7 @@ def _run_real_time(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
 
+    loop.make_room(robot.loop)
     start_s = clock.now_s()
     log = _Log(wishes.log_folder, robot, clock)
     daemon = Daemon(robot, log.tap(SerialPorts()), clock, nonce=int(start_s * 1e3) & 0xFFFF)

@@ -94,6 +94,20 @@ def test_what_the_system_refuses_is_said_in_words(monkeypatch: pytest.MonkeyPatc
     assert "loop.realtime_priority = 40: Operation not permitted; allow it with" in refused
 
 
+@pytest.mark.parametrize(
+    ("cpu", "had", "kept"),
+    [(2, {0, 1, 2, 3}, [{0, 1, 3}]), (0, {0}, []), (-1, {0, 1}, []), (5, {0, 1}, [{0, 1}])],
+)
+def test_what_is_started_beside_the_loop_keeps_off_its_core(
+    monkeypatch: pytest.MonkeyPatch, cpu: int, had: set[int], kept: list[set[int]]
+) -> None:
+    given_to: list[set[int]] = []
+    monkeypatch.setattr(loop.os, "sched_getaffinity", lambda _: had)
+    monkeypatch.setattr(loop.os, "sched_setaffinity", lambda _, cores: given_to.append(cores))
+    loop.make_room(load_robot(None).loop.model_copy(update={"cpu": cpu}))
+    assert given_to == kept
+
+
 # ------------------------------------------------------------------------------------------------ punctuality
 
 
