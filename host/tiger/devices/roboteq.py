@@ -593,9 +593,7 @@ class Roboteq:
         if self.phase is not Phase.CONFIGURING:
             return
         self._step = 0
-        # A stop is repeated at once: nobody knows what the motors do until it is confirmed.
-        stopping = exchange is not None and exchange.lines[0] == STOP_BOTH
-        self._retry_s = now_s if stopping else now_s + RETRY_S
+        self._retry_s = now_s + RETRY_S
         if self.problem is None and now_s - max(self._opened_s, self._heard_s) > NO_ANSWER_AFTER_S:
             self.problem = Problem(
                 ProblemKind.NO_ANSWER,

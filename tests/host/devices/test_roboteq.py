@@ -196,17 +196,6 @@ def test_after_a_gap_the_old_speed_does_not_come_back() -> None:
     assert bench.driver.gaps == 1
 
 
-def test_a_stop_without_an_answer_is_repeated_at_once() -> None:
-    """Nobody knows whether it arrived: in the pause before the next one the motors might run on."""
-    bench = Bench().started()
-    bench.run(200, command=(100.0, 100.0))
-    bench.controller.silent = True
-    bench.run(150, command=(100.0, 100.0))
-    bench.sent.clear()
-    bench.run(200)
-    assert sum(b"!M 0 0\r" in out for out in bench.sent) >= 9
-
-
 def test_a_new_daemon_on_a_controller_with_a_standing_speed_begins_with_zeros() -> None:
     controller = Controller()
     controller.receive(b"^RWD 150\r!S 1 300\r!S 2 300\r")
