@@ -148,9 +148,7 @@ class LogSession:
         written, from which replay can begin.
         """
         now_ns = self._now_ns()
-        for topic, data in self._wired:
-            self._add(now_ns, topic, data)
-        self._wired.clear()
+        self._take_wired(now_ns)
         self._health(record, now_ns)
         tick = Tick(
             record.tick, record.state, record.reason, record.inputs, record.outputs, record.lateness_s
@@ -163,6 +161,11 @@ class LogSession:
         if self._ticks_kept >= TICKS_PER_PACKET or record.state is not self._state:
             self._ticks_kept, self._state = 0, record.state
             self._send(now_ns)
+
+    def _take_wired(self, now_ns: int) -> None:
+        for topic, data in self._wired:
+            self._add(now_ns, topic, data)
+        self._wired.clear()
 
     def _health(self, record: Record, now_ns: int) -> None:
         same = record.problems is self._problems and record.links is self._links
@@ -256,6 +259,7 @@ class LogSession:
 
     def __exit__(self, *_: object) -> None:
         """Let the log's process finish its file, and wait for that."""
+        self._take_wired(self._now_ns())  # the daemon's last words come after its last tick
         if self._entries:
             self._send(self._now_ns())
         if self._socket is not None:

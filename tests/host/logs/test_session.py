@@ -93,6 +93,15 @@ def test_the_log_says_how_it_came_about(run: Run) -> None:
     assert "[message.imu_attitude]" in log.files[0].attachments["tiger.toml"]
 
 
+def test_what_goes_out_after_the_last_tick_is_in_the_log(run: Run, robot, tmp_path: Path) -> None:
+    """As the daemon ends it disarms, and ticks no more."""
+    with LogSession(tmp_path, robot, MonotonicClock()) as log:
+        log.record(run.records[-1])
+        log.wire("/dev/port0", b"last words", sent=True)
+    topic = wire_topic("/dev/port0", sent=True)
+    assert [bytes(m.value().data) for m in open_log(tmp_path).messages([topic])] == [b"last words"]
+
+
 def test_every_byte_of_every_line_is_in_the_log(run: Run) -> None:
     """Frames are counted twice: by the decoders of the daemon, and again from the log."""
     log = open_log(run.folder)
