@@ -316,7 +316,7 @@ class Daemon:
             if faults:
                 self.latched = tuple(faults)
         boards_open = any(port.link is not None for port in self.boards.ports.values())
-        drives_open = all(drive.connection.port is not None for drive in self.drives)
+        drives_open = all(drive.connection.is_open for drive in self.drives)
         complete = self.boards.complete
         return Facts(
             missing=not (boards_open and drives_open) or (is_armed and not complete),

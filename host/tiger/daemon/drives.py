@@ -23,8 +23,8 @@ class Drive:
             path,
             safety.roboteq_watchdog_ms,
             rate_hz,
-            safety.roboteq_read_back,
             safety.sustained_current_s,
+            safety.roboteq_read_back,
         )
         self.connection = Connection(ports, path, BAUD)
 

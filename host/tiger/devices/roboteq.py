@@ -266,8 +266,8 @@ class Roboteq:
         port: str,
         watchdog_ms: int,
         rate_hz: float,
+        sustained_s: float,
         read_back: bool = True,
-        sustained_s: float = 20.0,
     ) -> None:
         """`name` and `port` are for messages; commands are refreshed at `rate_hz`, and read back or not.
 

@@ -171,7 +171,7 @@ def test_a_fault_of_a_newer_board_is_said_by_number() -> None:
 
 
 def test_a_roboteqs_faults_are_named_and_its_emergency_stop_is_none() -> None:
-    drive = Roboteq("roboteq (left)", "/dev/left", 150, 50.0)
+    drive = Roboteq("roboteq (left)", "/dev/left", 150, 50.0, 20.0)
     drive.flags |= {"FF": FaultFlag.EMERGENCY_STOP.value, "FM1": MotorFlag.AMPS_LIMIT.value}
     assert list(limits.drive_faults(drive)) == []
     drive.flags |= {"FF": FaultFlag.SHORT_CIRCUIT | 1 << 9, "FM2": MotorFlag.STALLED.value}

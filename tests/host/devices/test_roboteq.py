@@ -37,7 +37,7 @@ class Bench:
     fastest_rpm: float = 0.0
 
     def __post_init__(self) -> None:
-        self.driver = Driver("roboteq (left)", "/dev/left", WATCHDOG_MS, 50.0)
+        self.driver = Driver("roboteq (left)", "/dev/left", WATCHDOG_MS, 50.0, 20.0)
         self.driver.connected(0.0)
         self.now_ms = 0
         self.cut = False
@@ -358,7 +358,7 @@ def test_a_controller_that_cannot_read_back_is_named_with_the_key_that_helps() -
 
 def test_without_read_back_the_echo_alone_confirms() -> None:
     bench = Bench()
-    bench.driver = Driver("roboteq (left)", "/dev/left", WATCHDOG_MS, 50.0, read_back=False)
+    bench.driver = Driver("roboteq (left)", "/dev/left", WATCHDOG_MS, 50.0, 20.0, read_back=False)
     bench.driver.connected(0.0)
     bench.started()
     bench.run(500, command=(20.0, 20.0))

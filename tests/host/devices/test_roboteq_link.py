@@ -124,7 +124,7 @@ class Ordeal:
     def __post_init__(self) -> None:
         self.random = random.Random(self.seed)
         self.controller = TruthfulController(self.seed, self.echo)
-        self.driver = Driver("roboteq (left)", "/dev/left", WATCHDOG_MS, 50.0)
+        self.driver = Driver("roboteq (left)", "/dev/left", WATCHDOG_MS, 50.0, 20.0)
         self.driver.connected(0.0)
         # The controller's answers to echoes come byte by byte, so damage is per direction and per line.
         self.down = LossyLine(self.random, self.loss, NoisyLine(self.noise, 2 * self.seed))
