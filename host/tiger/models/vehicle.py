@@ -248,14 +248,23 @@ class Vehicle:
         return state
 
     def settle(self, state: Array, duration_s: float = 5.0, inputs: Inputs | None = None) -> Array:
-        """Return `state` after `duration_s` with the wheels locked: at rest on any ground that holds it."""
+        """Return `state` after `duration_s` with the wheels locked: at rest on any ground that holds it.
+
+        On the way down locked wheels are strained against each other, and would hold so for good: their
+        tyres are let go once.
+        """
         locked = self._vehicle.copy()
         locked["spin_inertia"] = np.finfo(float).max ** 0.25
         held = Inputs() if inputs is None else inputs
         settled = state.copy()
         settled[kernel.SPIN] = 0.0
         steps = round(duration_s / DEFAULT_STEP_S)
-        kernel.advance(locked, *self._plant[1:], settled, held.vector, DEFAULT_STEP_S, steps, self._contact)
+        down = steps // 5
+        for part in (down, steps - down):
+            settled[kernel.SLIP] = 0.0
+            kernel.advance(
+                locked, *self._plant[1:], settled, held.vector, DEFAULT_STEP_S, part, self._contact
+            )
         return settled
 
     # ---- stepping ------------

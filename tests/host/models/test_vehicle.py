@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from tiger.config.tire import load_tire_set
 from tiger.config.vehicle import VehicleConfig, load_vehicle
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters, full_car
+from tiger.models.road import iso_road
 from tiger.models.terrain import Terrain
 from tiger.models.tire import Tire
 from tiger.models.vehicle import Inputs, Vehicle, euler_from_quaternion, simulate_many
@@ -431,6 +432,15 @@ def test_left_strokes_roll_the_robot_left_side_up() -> None:
 def test_car_has_no_strokes_to_set() -> None:
     with pytest.raises(ValueError, match="lift_m"):
         Vehicle(CAR).set_strokes(Inputs(), 10.0)
+
+
+def test_wheels_put_down_on_rough_ground_do_not_hold_against_each_other() -> None:
+    road, place_m = iso_road("D", 77), np.arange(0.0, 4.0, 0.05)
+    left, right = road.height_m(place_m, 0), road.height_m(place_m, 1)
+    vehicle = Vehicle(TIGER, Terrain.from_tracks(left, right, 0.05, TIGER.body.half_track_m))
+    forces = vehicle.sense(vehicle.settle(vehicle.at_rest(x_m=1.0)), IDLE).wheel_force_n
+    assert np.abs(forces[0] - forces[0].mean()).max() < 0.02 * TIGER.tire.nominal_load_n
+    assert np.abs(forces[1]).max() < 0.02 * TIGER.tire.nominal_load_n
 
 
 def test_accelerometer_at_rest_feels_gravity_in_its_own_axes() -> None:
