@@ -162,7 +162,7 @@ LIMITS = (
         "motor current is {:.1f} A",
         _of_drives(_largest_current_a, max),
         lambda s: s.max_motor_current_a,
-        "Check for a blocked wheel.",
+        "Check for a blocked wheel; on steep or rough ground drive slower.",
     ),
     Limit(
         "roboteq",
