@@ -29,6 +29,8 @@ LOOP = [
 """Waypoints and speeds of a mixed course: straights, bends to both sides, over two hills and a side slope."""
 PATCHES_M = (4.0, 10.0, 15.0, 33.0, 38.0, 46.0)
 ONSET_RATIO = 0.10
+RATIO_ERROR = 0.03
+"""What a slip ratio may be off by: one that touches the onset and goes back is not told from one below it."""
 CLEARLY_NOT = 0.04
 ROLLING_MPS = 0.45
 """Slower it is stopping: 10 % of slip are then less than the 4 cm/s that wheel sensors resolve in time."""
@@ -128,18 +130,35 @@ def drive(scenario: Scenario, seed: int, distance_m: float) -> Score:
 
 
 def _onsets(slip: Array, flag: Array, rolls: Array) -> list[float]:
-    """Time from each onset of slip that lasts 150 ms to its flag; infinite where it is missed."""
+    """Time from the onset of each slip to its flag; infinite where it is missed.
+
+    A slip lasts 150 ms and goes beyond the onset by more than a slip ratio may be off.
+    """
     ticks, times = 30, []
-    beyond = np.abs(slip) > ONSET_RATIO
+    size = np.abs(slip)
+    beyond = size > ONSET_RATIO
     for wheel in range(4):
         starts = np.flatnonzero(beyond[1:, wheel] & ~beyond[:-1, wheel] & rolls[1:]) + 1
         for at in starts:
+            lasts = int(np.argmin(np.append(beyond[at:, wheel], False)))
+            most = size[at : at + lasts, wheel].max()
             if flag[at, wheel]:
                 times.append(0.0)
-            elif beyond[at : at + ticks, wheel].all():
+            elif lasts >= ticks and most > ONSET_RATIO + RATIO_ERROR:
                 seen = np.flatnonzero(flag[at : at + 2 * ticks, wheel])
                 times.append(0.005 * float(seen[0]) if len(seen) else inf)
     return times
+
+
+def test_only_slips_that_last_and_stand_out_are_scored() -> None:
+    slip = np.zeros((200, 4))
+    slip[50:75, 0] = 0.3  # short
+    slip[50:150, 1] = 0.12  # hardly beyond the onset
+    slip[50:150, 2] = 0.15
+    slip[50:150, 3] = -0.15
+    flag = np.zeros(slip.shape, dtype=bool)
+    flag[66:, 2] = True
+    assert _onsets(slip, flag, np.ones(200, dtype=bool)) == [pytest.approx(0.08), inf]
 
 
 def test_a_short_course_with_slippery_patches_is_not_lost(record_figure: Recorder) -> None:
@@ -173,6 +192,6 @@ def test_500_m_of_mixed_course(
     assert score.drift_percent <= most_percent
     assert score.heading_deg <= 1.0
     assert (score.inside >= 0.99).all(), score.inside
-    assert np.mean(np.array(score.onset_s or [0.0]) <= 0.15) >= 0.98
+    assert max(score.onset_s, default=0.0) <= 0.15
     assert score.false_flags <= 0.02
-    assert error <= 0.03
+    assert error <= RATIO_ERROR
