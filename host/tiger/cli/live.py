@@ -14,18 +14,23 @@ import select
 import sys
 import termios
 import tty
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
 from tiger.record import DaemonState
+from tiger.rig.spawn import start_undisturbed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from multiprocessing.connection import Connection
+
+    from rich.console import ConsoleOptions, RenderResult
 
     from tiger.daemon.overview import Overview
     from tiger.record import LinkStatus, Record
@@ -42,22 +47,56 @@ STATE_STYLE = {
 KEYS = "a arm   d disarm   c clear faults   space emergency stop   q quit"
 CORNERS = ("FL", "FR", "RL", "RR")
 J_PER_WH = 3600.0
+MOST_LOG_LINES = 4
+LEAVE_SCREEN = "\x1b[?1049l\x1b[?25h"  # xterm: back to the screen before, cursor shown
 ROUGHNESS = "ABCDEFGH"  # ISO 8608
 
 
-def picture(record: Record, overview: Overview, log_lines: list[str], title: str, keys: bool) -> Group:
-    """Everything about one record that a person wants to see; 80 columns and 24 lines hold it."""
+class Page:
+    """A picture as tall as the place it is drawn on: what matters least is left out first."""
+
+    def __init__(
+        self, record: Record, overview: Overview, log_lines: list[str], title: str, keys: bool
+    ) -> None:
+        self._picture = partial(picture, record, overview, title=title, keys=keys)
+        self._log_lines = log_lines[-MOST_LOG_LINES:]
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Draw it."""
+        height = options.height  # None: as tall as it likes
+        free = options.update(height=None)
+        for brief in (False, True):
+            lines = console.render_lines(self._picture(brief=brief), free)
+            if height is None or len(lines) <= height:
+                break
+        room = MOST_LOG_LINES if height is None else max(height - len(lines), 0)
+        for text in self._log_lines[max(len(self._log_lines) - room, 0) :]:
+            line = Text(text, style="dim", no_wrap=True, overflow="ellipsis")
+            lines += console.render_lines(line, free)
+        for drawn in lines[:height]:
+            yield from drawn
+            yield Segment.line()
+
+
+def picture(record: Record, overview: Overview, title: str, keys: bool, brief: bool = False) -> Group:
+    """Everything about one record that a person wants to see; `brief`: 24 lines hold it and four problems."""
     state = Text.assemble(
         (f" {record.state.name} ", STATE_STYLE[record.state]), f"  {record.reason}; {record.outputs.reason}"
     )
-    parts: list[RenderableType] = [Text(title, style="bold", no_wrap=True, overflow="ellipsis")]
+    parts: list[RenderableType] = [_one_line(title, "bold")]
     if keys:
         parts.append(Text(KEYS, style="dim"))
     parts.append(state)
-    parts += [Text(f"! {problem}", style="red") for problem in record.problems]
-    parts += [_body(record), _corners(record, overview), _battery(record, overview), _links(record.links)]
-    parts += [Text(line, style="dim") for line in log_lines[-4:]]
+    for problem in record.problems:
+        text = f"! {problem.where}: {problem.text}." if brief else f"! {problem}"
+        parts.append(_one_line(text, "red") if brief else Text(text, style="red"))
+    parts += [_body(record), _corners(record, overview, brief), _battery(record, overview)]
+    parts.append(_links(record.links))
     return Group(*parts)
+
+
+def _one_line(text: str, style: str) -> Text:
+    return Text(text, style=style, no_wrap=True, overflow="ellipsis")
 
 
 def _body(record: Record) -> Table:
@@ -92,7 +131,7 @@ def _with_units(degrees: list[float]) -> Iterator[tuple[float, str]]:
     return zip(degrees, ("", "", "/s", "/s"), strict=True)
 
 
-def _corners(record: Record, overview: Overview) -> Table:
+def _corners(record: Record, overview: Overview, brief: bool) -> Table:
     inputs, outputs = record.inputs, record.outputs
     table = Table(box=None, padding=(0, 2))
     for heading in ("", *CORNERS):
@@ -107,6 +146,8 @@ def _corners(record: Record, overview: Overview) -> Table:
         table.add_row("command rpm", *(f"{value:+.1f}" for value in outputs.wheel_rpm))
     if inputs.drive_left is not None and inputs.drive_right is not None:
         table.add_row("current A", *(f"{value:+.1f}" for value in overview.current_a))
+        if brief:
+            return table
         table.add_row("torque Nm", *(f"{value:+.2f}" for value in overview.torque_nm))
         table.add_row("power W", *(f"{value:+.0f}" for value in overview.power_w))
     return table
@@ -172,7 +213,7 @@ class Screen:
 
     def __init__(self, title: str) -> None:
         self._title = title
-        self._live = Live(console=Console(), auto_refresh=False, transient=True)
+        self._live = whole_terminal()
 
     def __enter__(self) -> Screen:
         self._live.__enter__()
@@ -183,7 +224,12 @@ class Screen:
 
     def show(self, record: Record, overview: Overview, log_lines: list[str]) -> None:
         """Draw a record."""
-        self._live.update(picture(record, overview, log_lines, self._title, keys=False), refresh=True)
+        self._live.update(Page(record, overview, log_lines, self._title, keys=False), refresh=True)
+
+
+def whole_terminal() -> Live:
+    """A picture on a screen of its own: stray output and a change of size last until the next drawing."""
+    return Live(console=Console(), auto_refresh=False, screen=True)
 
 
 class ScreenProcess:
@@ -192,8 +238,9 @@ class ScreenProcess:
     def __init__(self, title: str) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
+        self._terminal = _settings()
         self._process = context.Process(target=_draw, args=(theirs, title), daemon=True)
-        self._process.start()
+        start_undisturbed(self._process)
         theirs.close()
 
     def __enter__(self) -> ScreenProcess:
@@ -205,6 +252,12 @@ class ScreenProcess:
         self._process.join(timeout=2.0)
         if self._process.is_alive():
             self._process.kill()
+            self._process.join()
+        if self._process.exitcode and self._terminal is not None:  # it could not tidy up
+            with contextlib.suppress(OSError, termios.error):
+                termios.tcsetattr(sys.stdout, termios.TCSADRAIN, self._terminal)
+                sys.stdout.write(LEAVE_SCREEN)
+                sys.stdout.flush()
 
     def exchange(self, record: Record, look: Callable[[Record], Overview], log_lines: list[str]) -> str:
         """Hand over the newest record and its overview if one was asked for; returns the keys pressed."""
@@ -218,21 +271,29 @@ class ScreenProcess:
         return keys
 
 
+def _settings() -> Any:
+    """How the terminal is set; None where there is none."""
+    try:
+        return termios.tcgetattr(sys.stdout)
+    except (OSError, termios.error):
+        return None
+
+
 def _draw(pipe: Connection, title: str) -> None:
     """Body of the drawing process: ask for a record, draw it, wait a fifth of a second for keys."""
-    with _keyboard() as keyboard, Live(console=Console(), auto_refresh=False, transient=True) as live:
+    with contextlib.suppress(OSError), _keyboard() as keyboard, whole_terminal() as live:
+        live.update(_one_line(title, "bold"), refresh=True)
         keys = ""
         while True:
             try:
                 pipe.send(keys)
                 news = pipe.recv()
-            except (OSError, EOFError, KeyboardInterrupt):
+            except (OSError, EOFError):
                 return
             if news is None:
                 return
             record, overview, log_lines = news
-            shown = picture(record, overview, log_lines, title, keys=keyboard is not None)
-            live.update(shown, refresh=True)
+            live.update(Page(record, overview, log_lines, title, keys=keyboard is not None), refresh=True)
             keys = _pressed(keyboard, 1.0 / FRAMES_PER_S)
 
 
@@ -254,12 +315,14 @@ def _keyboard() -> Iterator[int | None]:
 
 
 def _pressed(keyboard: int | None, seconds: float) -> str:
-    """Keys pressed within a time."""
-    try:
-        ready, _, _ = select.select([] if keyboard is None else [keyboard], [], [], seconds)
-    except KeyboardInterrupt:
-        return "q"
-    return os.read(keyboard, 64).decode("ascii", "ignore") if ready and keyboard is not None else ""
+    """Keys pressed within a time. Raises OSError when the terminal was closed."""
+    ready, _, _ = select.select([] if keyboard is None else [keyboard], [], [], seconds)
+    if keyboard is None or not ready:
+        return ""
+    data = os.read(keyboard, 64)
+    if not data:
+        raise OSError("the terminal was closed")
+    return data.decode("ascii", "ignore")
 
 
 def is_terminal() -> bool:

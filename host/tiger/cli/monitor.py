@@ -31,6 +31,13 @@ def monitor(
         with connected() as robot:
             Console().print(page(robot.ask("status")["status"]))
         return
+    from tiger.cli.live import is_terminal
+
+    if not is_terminal():
+        typer.echo(
+            "there is no terminal to draw on; try: tiger monitor --once, tiger ctl status --json", err=True
+        )
+        raise typer.Exit(2)
     try:
         _watch()
     except KeyboardInterrupt:
@@ -39,12 +46,9 @@ def monitor(
 
 def _watch() -> None:
     """Draw what arrives, and wait for a daemon while there is none."""
-    from rich.console import Console
-    from rich.live import Live
+    from tiger.cli.live import FRAMES_PER_S, whole_terminal
 
-    from tiger.cli.live import FRAMES_PER_S
-
-    with Live(console=Console(), auto_refresh=False, transient=True) as live:
+    with whole_terminal() as live:
         while True:
             try:
                 with Robot() as robot:
@@ -63,11 +67,11 @@ def _watch() -> None:
 
 def page(status: dict[str, Any]) -> RenderableType:
     """Draw one status; the same picture as that of `tiger run`."""
-    from tiger.cli.live import picture
+    from tiger.cli.live import Page
 
     read = _model().validate_python(status)
     title = f"TIGER; helm: {read.helm or 'free'}"
-    return picture(read.record, read.overview, read.log_lines, title, keys=False)
+    return Page(read.record, read.overview, read.log_lines, title, keys=False)
 
 
 @functools.cache

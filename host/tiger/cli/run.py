@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import signal
@@ -9,14 +10,15 @@ import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from tiger.cli.answers import refuse_unwritable, starting
 from tiger.record import Command, DaemonState, Record
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from tiger.config.robot import RobotConfig
     from tiger.daemon.clock import Clock, Lateness
@@ -152,7 +154,7 @@ class Journal:
             return "Nothing happened.", False
         late = f" Ticks were late by {_late(lateness)}." if lateness and lateness.ticks else ""
         if self.stops:
-            return f"Stopped at {self.stops[0]}; ended {last.state.name}.{late}", False
+            return f"Stopped at {self.stops[0]}; ended {last.state.name}.{late}", not wished_armed
         if self.armed_ticks:
             share = 100.0 * self.level_ticks / self.armed_ticks
             return (
@@ -186,13 +188,13 @@ def run(
         bool, typer.Option("--virtual-time", help="As fast as this computer can; needs --emulate.")
     ] = False,
     json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write summary and series to this file.")
+        Path | None, typer.Option("--json", help="Write summary and series to this file, - to the screen.")
     ] = None,
     speed: Annotated[float, typer.Option("--speed", help="Forward speed in m/s once armed.")] = 0.0,
     yaw_rate: Annotated[
         float, typer.Option("--yaw-rate", help="Yaw rate in degrees/s once armed, + turns left.")
     ] = 0.0,
-    seed: Annotated[int, typer.Option("--seed", help="Of everything random in the emulation.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of everything random in the emulation.")] = 0,
     log: Annotated[
         Path | None, typer.Option("--log", help="Keep an MCAP log of everything in this folder.")
     ] = None,
@@ -210,12 +212,15 @@ def run(
     outcome: tuple[Journal, Lateness | None]
     try:
         robot = load_robot(config)
-        if emulate is None:
-            outcome = _run_hardware(robot, wishes)
-        elif virtual_time:
-            outcome = _run_virtual(robot, emulate, seed, wishes)
-        else:
-            outcome = _run_emulated(robot, emulate, seed, wishes)
+        _check(wishes, robot, json_file)
+        to_screen = str(json_file) == "-"
+        with contextlib.redirect_stdout(sys.stderr) if to_screen else contextlib.nullcontext():
+            if emulate is None:
+                outcome = _run_hardware(robot, wishes)
+            elif virtual_time:
+                outcome = _run_virtual(robot, emulate, seed, wishes)
+            else:
+                outcome = _run_emulated(robot, emulate, seed, wishes)
     except (ConfigError, LogError) as error:
         _fail(str(error))
     journal, lateness = outcome
@@ -224,17 +229,34 @@ def run(
         report["summary"] |= {"scenario": emulate, "seed": seed if emulate else None}
         _write_json(json_file, report)
     line, good = journal.last_line(wishes.arm, lateness)
-    typer.echo(line)
+    typer.echo(line, err=to_screen)
     if not good:
         raise typer.Exit(1)
 
 
-def _fail(message: str) -> None:
+def _check(wishes: Wishes, robot: RobotConfig, json_file: Path | None) -> None:
+    """Refuse now what would only show at the end of the run, or not at all."""
+    yaw_rate_degps = math.degrees(wishes.yaw_rate_radps)
+    asked = (
+        ("--speed", wishes.speed_mps, robot.drive.max_speed_mps, "m/s", "max_speed_mps"),
+        ("--yaw-rate", yaw_rate_degps, robot.drive.max_yaw_rate_degps, "degrees/s", "max_yaw_rate_degps"),
+    )
+    for option, value, most, unit, key in asked:
+        if not abs(value) <= most:  # nan is refused too
+            _fail(f"{option} {value:g}: is outside ±{most:g} {unit} ({key} under [drive]); ask for less")
+    if json_file is not None:
+        refuse_unwritable(json_file)
+
+
+def _fail(message: str) -> NoReturn:
     typer.echo(message, err=True)
     raise typer.Exit(2)
 
 
 def _write_json(file: Path, report: dict[str, Any]) -> None:
+    if str(file) == "-":
+        typer.echo(json.dumps(report))
+        return
     try:
         file.write_text(json.dumps(report), encoding="utf-8")
     except OSError as error:
@@ -354,10 +376,11 @@ class _Socket:
         from tiger.daemon.api import Api, ApiError
 
         self._api: Api | None = None
+        self.trouble: list[str] = []
         try:
             self._api = Api(robot)
         except ApiError as error:
-            typer.echo(f"note: no commands from other programs: {error}", err=True)
+            self.trouble.append(f"no commands from other programs: {error}")
             return
         if wishes.speed_mps or wishes.yaw_rate_radps:
             self._api.desk.reserve("tiger run --speed")
@@ -371,6 +394,26 @@ class _Socket:
         """Hang up on everyone."""
         if self._api is not None:
             self._api.close(daemon)
+
+
+def _note(daemon: Daemon, *texts: str) -> None:
+    """Say it where it can be read: on the screen's last lines, and on standard error."""
+    for text in texts:
+        daemon.note(f"note: {text}")
+        typer.echo(f"note: {text}", err=True)
+
+
+@contextlib.contextmanager
+def _signals() -> Iterator[Callable[[], bool]]:
+    """Ctrl-C, SIGTERM and a closed terminal end the run in order; yields what says whether one came."""
+    asked: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, lambda came, _: asked.append(came)) for number in numbers}
+    try:
+        yield lambda: bool(asked)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class _Printer:
@@ -397,7 +440,8 @@ def _run_virtual(robot: RobotConfig, scenario_name: str, seed: int, wishes: Wish
     from tiger.rig.virtual import Rig
 
     scenario = load_scenario(scenario_name)
-    rig = Rig(robot, scenario, seed)
+    with starting("the emulated robot starts"):
+        rig = Rig(robot, scenario, seed)
     log = _Log(wishes.log_folder, rig.config, rig.clock)
     if wishes.log_folder is not None:
         rig.daemon = Daemon(rig.config, log.tap(rig.ports), rig.clock, nonce=seed + 1)
@@ -407,7 +451,7 @@ def _run_virtual(robot: RobotConfig, scenario_name: str, seed: int, wishes: Wish
     duration_s = wishes.duration_s if wishes.duration_s is not None else scenario.duration_s
     drawn_s = -math.inf
     display = Screen(f"TIGER, emulated: {scenario.title}") if is_terminal() else nullcontext()
-    with log, display as screen:
+    with _signals() as stop_asked, log, display as screen:
         for tick, record in enumerate(rig.run(duration_s)):
             driver.after(record)
             log.record(record, rig.daemon)
@@ -419,6 +463,8 @@ def _run_virtual(robot: RobotConfig, scenario_name: str, seed: int, wishes: Wish
             elif time.monotonic() - drawn_s > 1.0 / FRAMES_PER_S:
                 drawn_s = time.monotonic()
                 screen.show(record, look(record), rig.daemon.log_lines)
+            if stop_asked():
+                break
     rig.daemon.close()
     journal.log, journal.drive = log.summary(), _drive_figures(rig.daemon)
     return journal, None
@@ -433,7 +479,9 @@ def _run_emulated(
     scenario = load_scenario(scenario_name)
     if wishes.duration_s is None:
         wishes.duration_s = scenario.duration_s
-    with SeparateRobot(robot.vehicle, scenario_name, seed) as emulated:
+    with contextlib.ExitStack() as stack:
+        with starting("the emulated robot starts"):
+            emulated = stack.enter_context(SeparateRobot(robot.vehicle, scenario_name, seed))
         config = robot.model_copy(update={"ports": emulated.ports})
         title = f"TIGER, emulated: {scenario.title}"
         return _run_real_time(config, wishes, title, emulated.clock, emulated, scenario)
@@ -465,30 +513,22 @@ def _run_real_time(
     from tiger.devices.ports import SerialPorts
     from tiger.rig.planned_drive import PlannedDrive
 
-    stop_asked = False
-
-    def stop(*_: object) -> None:
-        nonlocal stop_asked
-        stop_asked = True
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
-
     loop.make_room(robot.loop)
-    start_s = clock.now_s()
     log = _Log(wishes.log_folder, robot, clock)
-    daemon = Daemon(robot, log.tap(SerialPorts()), clock, nonce=int(start_s * 1e3) & 0xFFFF)
+    daemon = Daemon(robot, log.tap(SerialPorts()), clock, nonce=int(clock.now_s() * 1e3) & 0xFFFF)
     driver, journal, printer = _Driver(daemon, wishes), Journal(), _Printer()
     planned = None
     if emulated is not None and scenario is not None:
         planned = PlannedDrive(scenario, daemon, emulated.pose)
     programs = _Socket(robot, wishes)
+    _note(daemon, *programs.trouble)
     look = _overseer(robot, daemon)
     every = max(round(robot.loop.rate_hz / SERIES_HZ), 1)
     draw_every = max(round(robot.loop.rate_hz / 50.0), 1)
-    with log, ScreenProcess(title) if is_terminal() else nullcontext() as screen:
-        for refused in loop.prepare(robot.loop):
-            typer.echo(f"note: {refused}", err=True)
+    display = ScreenProcess(title) if is_terminal() else nullcontext()
+    with _signals() as stop_asked, log, display as screen:
+        _note(daemon, *loop.prepare(robot.loop))
+        start_s = clock.now_s()
 
         def on_record(record: Record) -> bool:
             keep = wishes.keep_series and record.tick % every == 0
@@ -505,8 +545,8 @@ def _run_real_time(
             if screen is None:
                 printer.show(record, journal.last_time_s)
             elif record.tick % draw_every == 0:
-                return driver.press(screen.exchange(record, look, daemon.log_lines)) and not stop_asked
-            return not stop_asked
+                return driver.press(screen.exchange(record, look, daemon.log_lines)) and not stop_asked()
+            return not stop_asked()
 
         if emulated is not None:
             emulated.begin()

@@ -10,7 +10,6 @@ hardware would not wait, but a robot that stops because of the computer it is em
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
 import shutil
 import tempfile
@@ -22,6 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tiger.config.robot import PortsConfig
 from tiger.emulation.serve import MOST_BEHIND_S
+from tiger.rig.spawn import start_undisturbed
 
 if TYPE_CHECKING:
     from multiprocessing.synchronize import Event
@@ -116,7 +116,7 @@ class SeparateRobot:
         self._begin.set()
 
     def __enter__(self) -> SeparateRobot:
-        self._process.start()
+        start_undisturbed(self._process)
         deadline_s = time.monotonic() + START_TIME_S
         while not self._ready.wait(0.1):
             if self._process.is_alive() and time.monotonic() < deadline_s:
@@ -158,7 +158,7 @@ def _serve(
         return True
 
     robot = EmulatedRobot(vehicle, load_scenario(scenario), seed=seed)
-    with contextlib.suppress(KeyboardInterrupt), PtyRobot(robot, Path(folder)) as served:
+    with PtyRobot(robot, Path(folder)) as served:
         ready.set()
         while not begin.wait(1.0):
             if orphaned():

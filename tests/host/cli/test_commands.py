@@ -93,6 +93,15 @@ def test_a_run_in_virtual_time_arms_and_writes_its_figures(
     assert report["summary"]["log"] is None
 
 
+def test_json_to_the_screen_is_all_there_is_on_standard_output() -> None:
+    words = ["run", "--emulate", "shaking-plate", "--virtual-time", "--duration", "0.2", "--json", "-"]
+    result = subprocess.run(
+        [sys.executable, "-m", "tiger.cli.main", *words], capture_output=True, text=True, timeout=120
+    )
+    assert json.loads(result.stdout)["summary"]["scenario"] == "shaking-plate"
+    assert "Never armed" in result.stderr
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -119,6 +128,18 @@ def test_a_wrong_robot_toml_names_its_key_and_nothing_starts(
         (["--virtual-time"], "--virtual-time needs --emulate SCENARIO"),
         (["--emulate", "no-such-place", "--virtual-time"], "no-such-place"),
         (["--config", "/no/such/robot.toml"], "/no/such/robot.toml: cannot be read"),
+        (
+            ["--emulate", "curb", "--speed", "99"],
+            "--speed 99: is outside ±3 m/s (max_speed_mps under [drive])",
+        ),
+        (["--emulate", "curb", "--speed", "nan"], "--speed nan: is outside"),
+        (["--emulate", "curb", "--yaw-rate", "-91"], "--yaw-rate -91: is outside ±90 degrees/s"),
+        (
+            ["--emulate", "curb", "--json", "/no/such/out.json"],
+            "cannot be written (there is no folder /no/such)",
+        ),
+        (["--emulate", "curb", "--json", "/"], "/: cannot be written (it is a folder)"),
+        (["--emulate", "curb", "--seed", "-1"], "--seed"),
     ],
 )
 def test_a_wrong_wish_is_answered_in_one_message(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from tiger.cli.live import _short, picture
+from tiger.cli.live import Page, _short
 from tiger.daemon.overview import Overview
 from tiger.record import (
     DaemonState,
@@ -61,11 +61,12 @@ OVERVIEW = Overview(
 )
 
 
-def lines(record: Record, width: int = 80) -> list[str]:
+def lines(record: Record, width: int = 80, height: int | None = None) -> list[str]:
     console = Console(width=width, file=io.StringIO())
+    page = Page(record, OVERVIEW, ["one", "two"], "TIGER, emulated", keys=True)
     with console.capture() as capture:
-        console.print(picture(record, OVERVIEW, ["one", "two"], "TIGER, emulated", keys=True))
-    return capture.get().splitlines()
+        console.print(page, height=height)
+    return [line.rstrip() for line in capture.get().splitlines()]
 
 
 def test_nothing_is_cut_at_80_columns() -> None:
@@ -74,9 +75,38 @@ def test_nothing_is_cut_at_80_columns() -> None:
     assert all(len(line) <= 80 for line in drawn)
 
 
-def test_the_links_of_a_whole_robot_are_on_a_screen_of_24_lines() -> None:
-    drawn = lines(RECORD)
-    assert len(drawn) - 2 <= 24  # the last lines of the boards' log may be below
+def problems(count: int) -> tuple[Problem, ...]:
+    step = "Check its cable, its line in the table of links, and whatever else may be wrong with it."
+    return tuple(
+        Problem(ProblemKind.LIMIT, f"device {k}", "newest sample is 256 ms old, the limit is 240", step)
+        for k in range(count)
+    )
+
+
+@pytest.mark.parametrize("count", range(5))
+def test_a_screen_of_24_lines_holds_all_links_with_up_to_four_problems(count: int) -> None:
+    drawn = lines(replace(RECORD, problems=problems(count)), height=24)
+    assert len(drawn) <= 24
+    assert drawn[0].startswith("TIGER")
+    assert sum(line.startswith("! device") for line in drawn) == count
+    assert sum(line.startswith(("mega_", "nano_", "roboteq")) for line in drawn) == 6
+
+
+def test_what_is_left_out_first_is_the_log_then_figures_and_advice_then_the_end() -> None:
+    two = replace(RECORD, problems=problems(2))
+    whole = len(lines(two))
+    assert lines(two, height=whole)[-2:] == ["one", "two"]
+    assert lines(two, height=whole - 1)[-1] == "two"
+    without_log = lines(two, height=whole - 2)
+    assert without_log == lines(two)[:-2]
+    brief = lines(two, height=whole - 3)
+    assert not any("torque" in line or "Check" in line for line in brief)
+    assert brief[-2:] == ["one", "two"]  # in the room that is left
+    assert [line for line in lines(two, height=5) if line.startswith("! device")]
+
+
+def test_a_screen_with_room_has_everything() -> None:
+    assert lines(RECORD, height=60) == lines(RECORD)
 
 
 def test_every_link_is_told_with_its_health() -> None:

@@ -53,6 +53,7 @@ def test_without_a_daemon_it_waits_and_without_patience_it_says_so(
             raise KeyboardInterrupt
         return Robot()
 
+    monkeypatch.setattr("tiger.cli.live.is_terminal", lambda: True)
     monkeypatch.setattr(monitor_module, "RETRY_S", 0.0)
     monkeypatch.setattr(monitor_module, "Robot", robot)
     assert CliRunner().invoke(APP, []).exit_code == 0
@@ -68,6 +69,13 @@ def test_it_draws_telemetry_at_five_a_second_at_most(running: Any, monkeypatch: 
             raise KeyboardInterrupt
         return ""
 
+    monkeypatch.setattr("tiger.cli.live.is_terminal", lambda: True)
     monkeypatch.setattr(monitor_module, "page", keep)
     CliRunner().invoke(APP, [])
     assert {later - earlier for earlier, later in pairwise(ticks)} == {40}
+
+
+def test_without_a_terminal_it_names_what_prints_the_same() -> None:
+    result = CliRunner().invoke(APP, [])
+    assert result.exit_code == 2
+    assert "tiger monitor --once" in result.output

@@ -1,0 +1,43 @@
+"""What several commands answer alike: that work goes on, and what they refuse before they begin."""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+def refuse_unwritable(file: Path) -> None:
+    """End the program with one line if a result could not be written; better now than after the work."""
+    if str(file) == "-":
+        return
+    folder = file.parent
+    why = None
+    if file.is_dir():
+        why = "it is a folder"
+    elif not folder.is_dir():
+        why = f"there is no folder {folder}"
+    elif not os.access(file if file.exists() else folder, os.W_OK):
+        why = "not permitted"
+    if why is not None:
+        typer.echo(f"{file}: cannot be written ({why}); choose another place", err=True)
+        raise typer.Exit(2)
+
+
+@contextmanager
+def starting(text: str) -> Iterator[None]:
+    """Show that something is at work that cannot say how far it is; on a terminal only."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(text):
+        yield
