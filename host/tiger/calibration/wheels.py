@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiger.calibration.procedure import CalibrationError, Finding, Result
-from tiger.control.drive import design_drive, half_track_m
+from tiger.models.track import half_tracks_m, track_of
 from tiger.protocol.messages import PARAMS, BoardKind
 from tiger.record import STILL, Command, DaemonState, Mode
 
@@ -196,8 +196,7 @@ def solve(
             f"wheels: the distance makes the radius {radius:.3f} m, {radius_factor:.2f} of the vehicle's; at "
             f"most {100.0 * FACTOR_MOST_OFF:g} % off is believed: measure again, check the teeth of the gears"
         )
-    design = design_drive(robot)
-    half_m = float(np.mean([half_track_m(design, stroke) for stroke in turning.stroke_mm]))
+    half_m = float(np.mean(half_tracks_m(track_of(robot.vehicle), turning.stroke_mm)))
     turned = float((_LEFT_TURN * np.array(turning.wheel_rad)).mean())
     track_factor = radius * turned / (angle_rad * half_m)
     if not 0.8 <= track_factor <= 3.0:

@@ -1,7 +1,7 @@
-"""From forward speed and yaw rate to four wheel speeds, on the track that the mechanism has now.
+"""From forward speed and yaw rate to four wheel speeds, on the track that the robot has at these strokes.
 
 Skid steering: the wheel at y_i (left +) runs at v - yaw_rate y_i. The track changes with the strokes
-(1.20-1.27 m over 70 mm), and the four contacts scrub, so that the geometric half-tracks are multiplied by one
+(`models/track.py`), and the four contacts scrub, so that the geometric half-tracks are multiplied by one
 effective-track factor (measured by `tiger calibrate wheels`); what that misses, an integral of the gyro's yaw
 rate makes up for. The wheel speeds are closed by the Roboteqs on their own sensors or, by choice, by an
 integral on those of mega_speed.
@@ -10,20 +10,16 @@ integral on those of mega_speed.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from tiger.frozen import dataclass
-from tiger.models.eam import Eam
+from tiger.models.track import Track, half_tracks_m, track_of
 from tiger.record import STILL
 
 if TYPE_CHECKING:
     from tiger.config.robot import DriveControlConfig, RobotConfig
     from tiger.record import Command, Four, Inputs
 
-_TRACK_POINTS = 29
 _RPM_PER_RADPS = 30.0 / math.pi
 
 
@@ -32,9 +28,7 @@ class DriveDesign:
     """What `design_drive` computes once."""
 
     config: DriveControlConfig
-    half_track_m: tuple[float, ...]
-    """Half the track at equal steps of the stroke from 0 to `stroke_max_mm`."""
-    stroke_max_mm: float
+    track: Track
     rpm_per_mps: float
     rpm_max: float
 
@@ -61,16 +55,13 @@ _STANDING = DriveState()
 
 
 def design_drive(robot: RobotConfig) -> DriveDesign:
-    """Tabulate the track over the stroke; wheel speeds stay below both the motor's and the safety limit."""
+    """Prepare the drive; wheel speeds stay below both the motor's and the safety limit."""
     config, vehicle = robot.drive, robot.vehicle
-    stroke_max = robot.actuator.stroke_max_mm
-    track_mm = Eam.from_vehicle(vehicle).pose(np.linspace(0.0, stroke_max, _TRACK_POINTS)).track_mm
     radius_m = vehicle.tire.rolling_radius_m * config.wheel_radius_factor
     motor_rpm = vehicle.drive.max_wheel_speed_rpm if vehicle.drive is not None else 0.0
     return DriveDesign(
         config=config,
-        half_track_m=tuple((track_mm / 2000.0).tolist()),
-        stroke_max_mm=stroke_max,
+        track=track_of(vehicle),
         rpm_per_mps=_RPM_PER_RADPS / radius_m,
         rpm_max=min(motor_rpm, 0.95 * robot.safety.max_wheel_speed_rpm),
     )
@@ -112,7 +103,7 @@ def step(
 def wheel_speeds_rpm(design: DriveDesign, speed_mps: float, yaw_rate_radps: float, stroke_mm: Four) -> Four:
     """Return wheel speeds for a motion at given strokes; beyond the limit all shrink, the curvature stays."""
     turning = yaw_rate_radps * design.config.effective_track_factor
-    half_fl, half_fr, half_rl, half_rr = half_tracks_m(design, stroke_mm)
+    half_fl, half_fr, half_rl, half_rr = half_tracks_m(design.track, stroke_mm)
     gain = design.rpm_per_mps
     fl, rl = gain * (speed_mps - turning * half_fl), gain * (speed_mps - turning * half_rl)
     fr, rr = gain * (speed_mps + turning * half_fr), gain * (speed_mps + turning * half_rr)
@@ -121,24 +112,6 @@ def wheel_speeds_rpm(design: DriveDesign, speed_mps: float, yaw_rate_radps: floa
         return fl, fr, rl, rr
     scale = design.rpm_max / fastest
     return scale * fl, scale * fr, scale * rl, scale * rr
-
-
-@lru_cache(maxsize=4)
-def half_tracks_m(design: DriveDesign, stroke_mm: Four) -> Four:
-    """Distance of each wheel's mid-plane from the vehicle's, at these strokes; a tick asks several times."""
-    fl, fr, rl, rr = stroke_mm
-    at = half_track_m
-    return at(design, fl), at(design, fr), at(design, rl), at(design, rr)
-
-
-def half_track_m(design: DriveDesign, stroke_mm: float) -> float:
-    """Distance of a wheel's mid-plane from the vehicle's, at a stroke."""
-    table = design.half_track_m
-    last = len(table) - 1
-    place = min(max(stroke_mm / design.stroke_max_mm, 0.0), 1.0) * last
-    index = min(int(place), last - 1)
-    low = table[index]
-    return low + (place - index) * (table[index + 1] - low)
 
 
 def ramp(now: Ramp, wanted: float, acceleration: float, jerk: float, dt: float) -> Ramp:

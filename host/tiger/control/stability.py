@@ -13,18 +13,17 @@ from math import atan2, hypot, inf
 from typing import TYPE_CHECKING
 
 from tiger.control import motion_limits, tip_over, trip
-from tiger.control.drive import design_drive, half_track_m
 from tiger.control.motion_limits import Allowed, LimiterDesign, LimiterState
 from tiger.control.tip_over import Stance
 from tiger.control.trip import TripState
 from tiger.frozen import dataclass, replace
 from tiger.models.eam import Eam
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
+from tiger.models.track import Track, half_tracks_m, track_of
 from tiger.record import LimitCause, Stability
 
 if TYPE_CHECKING:
     from tiger.config.robot import RobotConfig, StabilityConfig
-    from tiger.control.drive import DriveDesign
     from tiger.models.eam import LiftCurve
     from tiger.record import Command, Estimate, Four, ImuSample, Inputs, Loads, Three
 
@@ -51,15 +50,13 @@ class StabilityDesign:
 
     config: StabilityConfig
     limiter: LimiterDesign
-    drive: DriveDesign
     curve: LiftCurve
     mid_lift_mm: float
-    mid_half_track_m: float
     body_mass_kg: float
     wheels_mass_kg: float
     com_height_m: float
     wheel_height_m: float
-    half_track_m: float
+    track: Track
     front_m: float
     rear_m: float
     inertia_kgm2: tuple[float, float]
@@ -122,19 +119,16 @@ def design_stability(robot: RobotConfig) -> StabilityDesign:
     mid_mm = 0.5 * robot.actuator.stroke_max_mm
     parameters = FullCarParameters.from_config(vehicle)
     spring = float(parameters.spring_npm().mean())
-    drive = design_drive(robot)
     return StabilityDesign(
         config=config,
         limiter=motion_limits.design_limiter(robot),
-        drive=drive,
         curve=curve,
         mid_lift_mm=curve.at(mid_mm)[0],
-        mid_half_track_m=half_track_m(drive, mid_mm),
         body_mass_kg=body.mass_kg,
         wheels_mass_kg=2.0 * (vehicle.front.unsprung_mass_kg + vehicle.rear.unsprung_mass_kg),
         com_height_m=body.com_height_m,
         wheel_height_m=vehicle.tire.rolling_radius_m,
-        half_track_m=body.half_track_m,
+        track=track_of(vehicle),
         front_m=body.com_to_front_axle_m,
         rear_m=body.com_to_rear_axle_m,
         inertia_kgm2=(body.roll_inertia_kgm2, body.pitch_inertia_kgm2),
@@ -313,11 +307,8 @@ def stance_of(design: StabilityDesign, loads: Loads, stroke_mm: Four) -> Stance:
     height = (body * (ride + com_z) + wheels * design.wheel_height_m) / mass
     share = body / mass
     x, y = share * com_x, share * com_y  # the wheels' COM is under the empty body's
-    tracks = [
-        design.half_track_m + half_track_m(design.drive, stroke) - design.mid_half_track_m
-        for stroke in stroke_mm
-    ]
-    left, right = 0.5 * (tracks[0] + tracks[2]), 0.5 * (tracks[1] + tracks[3])
+    half_fl, half_fr, half_rl, half_rr = half_tracks_m(design.track, stroke_mm)
+    left, right = 0.5 * (half_fl + half_rl), 0.5 * (half_fr + half_rr)
     above = ride + com_z - height  # body's COM over that of everything
     below = height - design.wheel_height_m
     load2 = sum(place * place for place in com) * body * body / more if more > 1.0 else 0.0

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiger.config.tire import load_tire_set
-from tiger.control.drive import DriveDesign, design_drive, half_track_m
 from tiger.estimation import inertial, slip
 from tiger.estimation.inertial import (
     FX,
@@ -37,6 +36,7 @@ from tiger.estimation.inertial import (
 from tiger.estimation.slip import FourBools, SlipState, Wheels
 from tiger.frozen import dataclass, replace
 from tiger.models.full_car import GRAVITY_MPS2
+from tiger.models.track import Track, half_tracks_m, track_of
 from tiger.record import STILL, Odometry
 
 if TYPE_CHECKING:
@@ -71,12 +71,7 @@ class OdometryDesign:
     imu_height_m: float  # over the COM
     drive_slip_s2pm: float  # slip ratio for each m/s2 that the wheels push
     side_slip_s2pm: float
-    half_track_m: tuple[float, ...]
-    """At each whole millimetre of stroke: the vehicle's at half of it, changed by the mechanism."""
-
-    def half_track_at(self, stroke_mm: float) -> float:
-        """Half the track at a wheel in m."""
-        return self.half_track_m[min(max(round(stroke_mm), 0), len(self.half_track_m) - 1)]
+    track: Track
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,13 +127,8 @@ def design_odometry(robot: RobotConfig) -> OdometryDesign:
         imu_height_m=vehicle.imu_offset_m[2],
         drive_slip_s2pm=1.0 / (ahead * GRAVITY_MPS2),
         side_slip_s2pm=1.0 / (across * GRAVITY_MPS2),
-        half_track_m=_half_track_by_millimetre(design_drive(robot), vehicle.body.half_track_m),
+        track=track_of(vehicle),
     )
-
-
-def _half_track_by_millimetre(drive: DriveDesign, at_half_stroke_m: float) -> tuple[float, ...]:
-    offset_m = at_half_stroke_m - half_track_m(drive, 0.5 * drive.stroke_max_mm)
-    return tuple(half_track_m(drive, float(mm)) + offset_m for mm in range(round(drive.stroke_max_mm) + 1))
 
 
 def step(
@@ -257,10 +247,10 @@ def _read_wheels(
     lever = q * (design.com_height_m + design.imu_height_m)
     ahead = cos(motion.pitch_rad - estimate.plate_pitch_rad)
     along = ahead * design.wheel_radius_m * (1.0 + motion.learned.scale)
-    a, b, c, d = strokes.stroke_mm if strokes is not None else STILL
+    stroke_mm = strokes.stroke_mm if strokes is not None else STILL
     wheels = slip.told(
         (along * fl + lever, along * fr + lever, along * rl + lever, along * rr + lever),
-        (design.half_track_at(a), design.half_track_at(b), design.half_track_at(c), design.half_track_at(d)),
+        half_tracks_m(design.track, stroke_mm),
         design.drive_slip_s2pm * state.push_mps2,
         r,
         state.slip.scrub,

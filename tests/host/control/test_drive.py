@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from tiger.config.robot import load_robot
 from tiger.control import drive
-from tiger.control.drive import DriveState, Ramp, design_drive, half_track_m, ramp, wheel_speeds_rpm
-from tiger.models.eam import Eam
+from tiger.control.drive import DriveState, Ramp, design_drive, ramp, wheel_speeds_rpm
+from tiger.models.track import half_tracks_m, track_of
 from tiger.record import STILL, Command, ImuSample, Inputs, StrokeSample, WheelSample
 
 if TYPE_CHECKING:
@@ -48,16 +48,10 @@ def test_a_left_turn_slows_the_left_wheels() -> None:
     assert fl + fr == pytest.approx(2.0 * wheel_speeds_rpm(DESIGN, 1.0, 0.0, MID)[0])
 
 
-@pytest.mark.parametrize("stroke", [0.0, 12.5, 35.0, 69.9, 70.0])
-def test_the_track_is_that_of_the_mechanism(stroke: float) -> None:
-    exact = float(Eam.from_vehicle(ROBOT.vehicle).pose(stroke).track_mm) / 2000.0
-    assert half_track_m(DESIGN, stroke) == pytest.approx(exact, abs=5e-5)
-
-
-def test_a_narrower_track_turns_its_wheels_slower() -> None:
-    high = wheel_speeds_rpm(DESIGN, 0.0, 1.0, (70.0,) * 4)
-    low = wheel_speeds_rpm(DESIGN, 0.0, 1.0, (10.0,) * 4)
-    assert abs(high[0]) / abs(low[0]) == pytest.approx(1206.3 / 1269.8, abs=1e-3)
+def test_every_wheel_turns_on_its_own_half_of_the_track() -> None:
+    strokes = (70.0, 10.0, 35.0, 0.0)
+    at = [DESIGN.rpm_per_mps * half for half in half_tracks_m(track_of(ROBOT.vehicle), strokes)]
+    assert wheel_speeds_rpm(DESIGN, 0.0, 1.0, strokes) == pytest.approx((-at[0], at[1], -at[2], at[3]))
 
 
 @settings(deadline=None)
@@ -66,8 +60,8 @@ def test_beyond_the_limit_the_curvature_stays(speed: float, yaw: float, strokes:
     wheels = wheel_speeds_rpm(DESIGN, speed, yaw, strokes)
     assert max(map(abs, wheels)) <= DESIGN.rpm_max * (1 + 1e-9)
     unlimited = [
-        DESIGN.rpm_per_mps * (speed - yaw * side * half_track_m(DESIGN, s))
-        for side, s in zip((1, -1, 1, -1), strokes, strict=True)
+        DESIGN.rpm_per_mps * (speed - yaw * side * half)
+        for side, half in zip((1, -1, 1, -1), half_tracks_m(DESIGN.track, strokes), strict=True)
     ]
     assert np.outer(wheels, unlimited) == pytest.approx(np.outer(unlimited, wheels), abs=1e-6)
 
