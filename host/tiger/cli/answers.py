@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import sys
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 
 def refuse_unwritable(file: Path) -> None:
@@ -29,6 +29,12 @@ def refuse_unwritable(file: Path) -> None:
     if why is not None:
         typer.echo(f"{file}: cannot be written ({why}); choose another place", err=True)
         raise typer.Exit(2)
+
+
+def scenario_names() -> list[str]:
+    """Names of the scenarios that come with TIGER, found without loading the emulation."""
+    folder = Path(__file__).parents[1] / "emulation" / "scenarios"
+    return sorted(file.stem for file in folder.glob("*.toml"))
 
 
 @contextmanager

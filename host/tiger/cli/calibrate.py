@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tiger.cli.answers import scenario_names
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -29,13 +31,18 @@ app = typer.Typer(
     help="Measure what the robot's parameters should be, and store them on its boards.",
 )
 
-Config = Annotated[Path | None, typer.Option("--config", help="robot.toml; the packaged one when left out.")]
-Emulate = Annotated[
-    str | None, typer.Option(metavar="SCENARIO", help="On the emulated robot, in virtual time.")
+Config = Annotated[
+    Path | None, typer.Option("--config", metavar="FILE", help="robot.toml; the packaged one when left out.")
 ]
-Seed = Annotated[int, typer.Option(help="Of the emulated robot's noise.")]
+Emulate = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SCENARIO", autocompletion=scenario_names, help="On the emulated robot, in virtual time."
+    ),
+]
+Seed = Annotated[int, typer.Option(metavar="NUMBER", min=0, help="Of the emulated robot's noise.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Store the result without asking.")]
-Json = Annotated[Path | None, typer.Option("--json", help="Write the result here.")]
+Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result here.")]
 
 
 @app.command()
@@ -45,7 +52,9 @@ def imu(
     seed: Seed = 0,
     yes: Yes = False,
     json_file: Json = None,
-    seconds: Annotated[float, typer.Option(min=2.0, max=600.0, help="Length of the rest.")] = 10.0,
+    seconds: Annotated[
+        float, typer.Option(metavar="SECONDS", min=2.0, max=600.0, help="Length of the rest.")
+    ] = 10.0,
 ) -> None:
     """Bias and noise of the gyroscope at rest."""
     from tiger.calibration.imu import imu_procedure
@@ -61,7 +70,7 @@ def accel(
     yes: Yes = False,
     json_file: Json = None,
 ) -> None:
-    """Offset and scale of the accelerometer, from six positions."""
+    """Offset and scale of the accelerometer."""
     from tiger.calibration.accel import accel_procedure
 
     _calibrate(_Wishes(config, emulate, seed, yes, json_file), lambda robot: accel_procedure())
@@ -97,15 +106,18 @@ def strokes(
     seed: Seed = 0,
     yes: Yes = False,
     json_file: Json = None,
-    positions: Annotated[int, typer.Option(min=2, max=20, help="How many strokes are measured.")] = 5,
+    positions: Annotated[
+        int, typer.Option(metavar="NUMBER", min=2, max=20, help="How many strokes are measured.")
+    ] = 5,
     arm: Annotated[
         bool, typer.Option("--arm", help="Let the robot move its actuators; the emulated one always does.")
     ] = False,
     plots: Annotated[
-        Path | None, typer.Option("--plots", help="Draw stroke against potentiometer into this folder.")
+        Path | None,
+        typer.Option("--plots", metavar="FOLDER", help="Draw stroke against potentiometer into this folder."),
     ] = None,
 ) -> None:
-    """Potentiometers, against strokes measured with a ruler (Figure 3.9)."""
+    """Potentiometers, against a ruler (Figure 3.9)."""
     from tiger.calibration.strokes import plot, positions_mm, strokes_procedure
 
     moves = arm or emulate is not None
@@ -124,15 +136,24 @@ def wheels(
     emulate: Emulate = None,
     seed: Seed = 0,
     json_file: Json = None,
-    distance: Annotated[float, typer.Option(min=0.5, max=100.0, help="m to drive ahead.")] = 5.0,
-    turns: Annotated[int, typer.Option(min=-10, max=10, help="Full turns, + to the left.")] = 2,
+    distance: Annotated[
+        float, typer.Option(metavar="METRES", min=0.5, max=100.0, help="How far to drive ahead.")
+    ] = 5.0,
+    turns: Annotated[
+        int, typer.Option(metavar="NUMBER", min=-10, max=10, help="Full turns, + to the left.")
+    ] = 2,
     turn_speed: Annotated[
-        float, typer.Option(min=0.0, max=2.0, help="m/s while turning; 0: on the spot.")
+        float, typer.Option(metavar="M/S", min=0.0, max=2.0, help="Speed while turning; 0: on the spot.")
     ] = 0.0,
     arm: Annotated[bool, typer.Option("--arm", help="Let the robot drive, each time you agree.")] = False,
-    output: Annotated[Path | None, typer.Option("--output", help="Write the [drive] factors here.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", metavar="FILE", help="Write the [drive] factors here.")
+    ] = None,
 ) -> None:
-    """Wheel radius and yaw scale, from a straight drive and full turns; prints them for robot.toml."""
+    """Wheel radius and yaw scale.
+
+    From a straight drive and full turns; prints them for robot.toml.
+    """
     from tiger.calibration.driving import Course, calibrate_wheels
     from tiger.calibration.wheels import as_toml
 

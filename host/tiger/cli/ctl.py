@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from tiger.daemon.client import Refused, Robot
+from tiger.record import Mode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,8 +20,14 @@ if TYPE_CHECKING:
 REPEAT_S = 0.1  # a drive command lives for half a second
 ARMING_TIME_S = 5.0
 CHANGE_TIME_S = 1.5
+LIMIT = re.compile(r"(\w+)_rad(ps)? = (\S+) is outside (\S+) to (\S+)")  # of an angle, in a refusal
 
-app = typer.Typer(no_args_is_help=True, help="Ask the running daemon for something: arm, mode, pose, drive.")
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="Ask the running daemon for something: arm, mode, pose, drive.",
+)
 
 Json = Annotated[bool, typer.Option("--json", help="Print the daemon's answer as JSON.")]
 
@@ -31,7 +39,7 @@ def connected() -> Iterator[Robot]:
         with Robot() as robot:
             yield robot
     except Refused as refusal:
-        typer.echo(f"refused: {refusal}", err=True)
+        typer.echo(f"refused: {in_degrees(str(refusal))}", err=True)
         raise typer.Exit(1) from None
     except (FileNotFoundError, ConnectionRefusedError):
         from tiger.daemon.client import socket_path
@@ -45,6 +53,17 @@ def connected() -> Iterator[Robot]:
         _fail("the daemon does not answer; look at its terminal, or: systemctl status tiger")
     except OSError as error:
         _fail(f"the connection to the daemon broke ({error}); is it still running?")
+
+
+def in_degrees(refusal: str) -> str:
+    """The daemon's words about a limit with angles as a person gave them, and without the API's suffixes."""
+
+    def told(found: re.Match[str]) -> str:
+        name, rate, value, low, high = found.groups()
+        asked, least, most = (f"{math.degrees(float(number)):.4g}" for number in (value, low, high))
+        return f"{name} = {asked} is outside {least} to {most} degrees{'/s' if rate else ''}"
+
+    return LIMIT.sub(told, refusal)
 
 
 def _fail(message: str) -> NoReturn:
@@ -81,7 +100,7 @@ def _arrive(do: str, states: tuple[str, ...], seconds: float, as_json: bool) -> 
 
 @app.command()
 def arm(as_json: Json = False) -> None:
-    """Arm the robot and wait until it is armed. It may move."""
+    """Arm the robot and wait until it is armed; it may move."""
     _arrive("arm", ("ARMED",), ARMING_TIME_S, as_json)
 
 
@@ -99,13 +118,15 @@ def estop(as_json: Json = False) -> None:
 
 @app.command()
 def clear(as_json: Json = False) -> None:
-    """Clear faults and emergency stops whose cause is gone. Arms nothing."""
+    """Clear what stopped it and is gone; arms nothing."""
     _arrive("clear", ("DISARMED",), CHANGE_TIME_S, as_json)
 
 
 @app.command()
 def mode(
-    name: Annotated[str, typer.Argument(metavar="MODE", help="hold, level, balance, pose or stow.")],
+    name: Annotated[
+        str, typer.Argument(metavar="MODE", autocompletion=lambda: [*Mode], help=f"{', '.join(Mode)}.")
+    ],
     as_json: Json = False,
 ) -> None:
     """Change what the suspension does."""
@@ -114,14 +135,14 @@ def mode(
 
 @app.command()
 def pose(
-    roll: Annotated[float, typer.Option(help="Degrees, + = left side up.")] = 0.0,
-    pitch: Annotated[float, typer.Option(help="Degrees, + = nose down.")] = 0.0,
+    roll: Annotated[float, typer.Option(metavar="DEGREES", help="+ = left side up.")] = 0.0,
+    pitch: Annotated[float, typer.Option(metavar="DEGREES", help="+ = nose down.")] = 0.0,
     height: Annotated[
-        float | None, typer.Option(help="Mean stroke of the actuators in mm; default: as it is.")
+        float | None, typer.Option(metavar="MM", help="Mean stroke of the actuators; default: as it is.")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Take a roll, a pitch and a ride height relative to the wheels."""
+    """Take a pose relative to the wheels."""
     angles = {"roll_rad": math.radians(roll), "pitch_rad": math.radians(pitch)}
     _ask("pose", as_json, **angles, ride_stroke_mm=height)
 
@@ -139,12 +160,17 @@ def height(
 
 @app.command()
 def drive(
-    speed: Annotated[float, typer.Option(help="Metres a second, + = forward.")] = 0.0,
-    yaw_rate: Annotated[float, typer.Option(help="Degrees a second, + = turns left.")] = 0.0,
-    seconds: Annotated[float, typer.Option("--for", min=0.0, max=3600.0, help="Seconds.")] = 1.0,
+    speed: Annotated[float, typer.Option(metavar="M/S", help="+ = forward.")] = 0.0,
+    yaw_rate: Annotated[float, typer.Option(metavar="DEG/S", help="+ = turns left.")] = 0.0,
+    seconds: Annotated[
+        float, typer.Option("--for", metavar="SECONDS", min=0.0, max=3600.0, help="How long.")
+    ] = 1.0,
     as_json: Json = False,
 ) -> None:
-    """Drive for a while, then stop. Ctrl-C stops at once, and so does the end of this program."""
+    """Drive for a while, then stop.
+
+    Ctrl-C stops at once, and so does the end of this program.
+    """
     with connected() as robot:
         end_s = time.monotonic() + seconds
         try:

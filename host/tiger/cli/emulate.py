@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tiger.cli.answers import scenario_names
+
 if TYPE_CHECKING:
     from tiger.emulation.robot import EmulatedRobot
 
@@ -21,15 +23,25 @@ def default_folder() -> Path:
 
 
 def emulate(
-    scenario: Annotated[str, typer.Argument(help="A scenario that comes with TIGER, or the path of one.")],
+    scenario: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENARIO",
+            autocompletion=scenario_names,
+            help=f"A .toml file, or {', '.join(scenario_names())}.",
+        ),
+    ],
     folder: Annotated[
-        Path | None, typer.Option(help="Where the links to the serial lines go (default: a runtime folder).")
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="Where the links to the serial lines go (default: a runtime folder)."
+        ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="NUMBER", min=0, help="Seed of everything random.")] = 0,
     duration: Annotated[
-        float | None, typer.Option(help="Seconds to run; default: until interrupted.", min=0.1)
+        float | None, typer.Option(metavar="SECONDS", help="How long; default: until interrupted.", min=0.1)
     ] = None,
-    vehicle: Annotated[str, typer.Option(help="Vehicle preset or file.")] = "tiger",
+    vehicle: Annotated[str, typer.Option(metavar="NAME|FILE", help="Vehicle preset or file.")] = "tiger",
 ) -> None:
     """Run the emulated robot in real time; its serial lines appear as links in a folder."""
     from rich.console import Console

@@ -14,8 +14,18 @@ if TYPE_CHECKING:
     from tiger.logs.summary import Summary
     from tiger.logs.topics import WireFrame
 
-app = typer.Typer(no_args_is_help=True, help="Read logs: figures, plots, CSV, replay.")
-export = typer.Typer(no_args_is_help=True, help="Write a log as files for other programs.")
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="Read logs: figures, plots, CSV, replay.",
+)
+export = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="Write a log as files for other programs.",
+)
 app.add_typer(export, name="export")
 
 LogPath = Annotated[Path, typer.Argument(metavar="LOG", help="A log file, or a folder: its newest log.")]

@@ -28,7 +28,12 @@ from tiger.protocol.messages import (
 if TYPE_CHECKING:
     from enum import IntEnum
 
-app = typer.Typer(no_args_is_help=True, help="Read frames and captures of the wire as text.")
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="Read frames and captures of the wire as text.",
+)
 
 EVERY_MESSAGE: dict[int, type[Message]] = {
     message_id: message

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from tiger.cli.answers import refuse_unwritable, starting
+from tiger.cli.answers import refuse_unwritable, scenario_names, starting
 from tiger.record import Command, DaemonState, Record
 
 if TYPE_CHECKING:
@@ -173,30 +173,49 @@ def _late(lateness: Lateness) -> str:
 
 def run(
     config: Annotated[
-        Path | None, typer.Option("--config", help="robot.toml; what it leaves out keeps its default.")
+        Path | None,
+        typer.Option("--config", metavar="FILE", help="robot.toml; what it leaves out keeps its default."),
     ] = None,
     emulate: Annotated[
-        str | None, typer.Option("--emulate", help="Run on the emulated robot in this scenario, and arm.")
+        str | None,
+        typer.Option(
+            "--emulate",
+            metavar="SCENARIO",
+            autocompletion=scenario_names,
+            help=f"Arm the emulated robot in a scenario: a .toml file, or {', '.join(scenario_names())}.",
+        ),
     ] = None,
     arm: Annotated[
         bool, typer.Option("--arm", help="Arm the robot as soon as it is ready. It moves.")
     ] = False,
     duration: Annotated[
-        float | None, typer.Option("--duration", min=0.1, help="Seconds; default: until interrupted.")
+        float | None,
+        typer.Option(
+            "--duration",
+            metavar="SECONDS",
+            min=0.1,
+            help="How long; default: until interrupted, a scenario's own.",
+        ),
     ] = None,
     virtual_time: Annotated[
         bool, typer.Option("--virtual-time", help="As fast as this computer can; needs --emulate.")
     ] = False,
     json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write summary and series to this file, - to the screen.")
+        Path | None,
+        typer.Option(
+            "--json", metavar="FILE", help="Write summary and series to this file, - to the screen."
+        ),
     ] = None,
-    speed: Annotated[float, typer.Option("--speed", help="Forward speed in m/s once armed.")] = 0.0,
+    speed: Annotated[float, typer.Option("--speed", metavar="M/S", help="Forward speed once armed.")] = 0.0,
     yaw_rate: Annotated[
-        float, typer.Option("--yaw-rate", help="Yaw rate in degrees/s once armed, + turns left.")
+        float, typer.Option("--yaw-rate", metavar="DEG/S", help="Yaw rate once armed, + turns left.")
     ] = 0.0,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of everything random in the emulation.")] = 0,
+    seed: Annotated[
+        int, typer.Option("--seed", metavar="NUMBER", min=0, help="Of everything random in the emulation.")
+    ] = 0,
     log: Annotated[
-        Path | None, typer.Option("--log", help="Keep an MCAP log of everything in this folder.")
+        Path | None,
+        typer.Option("--log", metavar="FOLDER", help="Keep an MCAP log of everything in this folder."),
     ] = None,
 ) -> None:
     """Run the robot: find its devices, arm, level the body, drive the wheels."""

@@ -33,7 +33,12 @@ STUDIES = {
     "uneven-terrain": "Driving over uneven terrain, strokes held and body levelled (Figure 4.12)",
 }
 
-app = typer.Typer(no_args_is_help=True, help="Run an experiment of the dissertation again.")
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="Run an experiment of the dissertation again.",
+)
 
 
 def _run(module_name: str, parameters: dict[str, Any], json_path: Path | None, plots: Path | None) -> None:

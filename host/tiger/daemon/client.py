@@ -58,7 +58,7 @@ class Robot:
         while (line := self._line()).get("id", -1) != self._id:
             self._telemetry.append(line)
         if not line["ok"]:
-            raise Refused(f"{line['reason']}. {line['next_step']}")
+            raise Refused(f"{line['reason'].rstrip('.')}. {line['next_step']}")
         return line
 
     def wait_for(self, state: str, seconds: float = 5.0) -> None:
@@ -82,7 +82,7 @@ class Robot:
         text, self._received = self._received.split(b"\n", 1)
         line: dict[str, Any] = json.loads(text)
         if line.get("closing"):
-            raise Refused(f"{line['reason']}. {line['next_step']}")
+            raise Refused(f"{line['reason'].rstrip('.')}. {line['next_step']}")
         return line
 
     def close(self) -> None:

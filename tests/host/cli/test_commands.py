@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -12,6 +13,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from tiger.cli import doctor
+from tiger.cli import main as main_module
 from tiger.cli.main import COMMANDS, app
 from tiger.protocol.frame import encode_message
 from tiger.protocol.messages import BoardState, Fault, Health, SuspensionSetpoint, SuspensionState
@@ -59,6 +61,56 @@ def test_an_unknown_command_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     result = tiger("fly", monkeypatch=monkeypatch)
     assert result.exit_code == 2
     assert "fly" in result.output
+
+
+def completed(line: str) -> list[str]:
+    """What the shell is offered for the last word of a line."""
+    environment = os.environ | {
+        "COMP_WORDS": line,
+        "COMP_CWORD": str(len(line.split(" ")) - 1),
+        "_TIGER_COMPLETE": "complete_bash",
+    }
+    command = [sys.executable, "-c", "from tiger.cli.main import main; main()"]
+    result = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
+    return result.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("tiger ca", ["calibrate"]),
+        ("tiger run --em", ["--emulate"]),
+        ("tiger run --emulate s", ["shaking-plate", "side-slope"]),
+        ("tiger ctl mode ", ["hold", "level", "balance", "pose", "stow"]),
+        ("tiger study tip", ["tip-over"]),
+        ("tiger log export c", ["csv"]),
+    ],
+)
+def test_a_shell_completes_commands_options_and_names(line: str, words: list[str]) -> None:
+    assert completed(line) == words
+
+
+def test_the_version_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert tiger("--version", monkeypatch=monkeypatch).output.startswith("tiger 0.")
+
+
+def test_a_mistake_of_the_program_is_two_lines_and_a_status_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*words: object, **more: object) -> None:
+        raise ZeroDivisionError("of all things")
+
+    monkeypatch.delenv("TIGER_TRACEBACK", raising=False)
+    monkeypatch.setattr(main_module, "app", broken)
+    with pytest.raises(SystemExit) as ended:
+        main_module.main()
+    assert ended.value.code == main_module.MISTAKE
+    said = capsys.readouterr().err
+    assert "ZeroDivisionError: of all things" in said
+    assert said.count("\n") == 2
+    monkeypatch.setenv("TIGER_TRACEBACK", "1")
+    with pytest.raises(ZeroDivisionError):
+        main_module.main()
 
 
 # -------------------------------------------------------------------------------------------------------- run

@@ -77,7 +77,7 @@ def test_modes_poses_and_heights_reach_the_daemon(disarmed: Any) -> None:
     ("words", "reason"),
     [
         (("mode", "jump"), "Input should be 'hold', 'level', 'balance', 'pose' or 'stow'"),
-        (("pose", "--roll", "40"), "(leveling.max_angle_deg)"),
+        (("pose", "--roll", "40"), "roll = 40 is outside -15 to 15 degrees (leveling.max_angle_deg)"),
         (("height", "500"), "ride_stroke_mm = 500 is outside 1.5 to 68.5"),
         (("drive", "--speed", "0.2"), "Arm it first."),
     ],
@@ -111,6 +111,7 @@ def test_estop_stops_whoever_drives_and_arm_is_refused_until_clear(disarmed: Any
         assert disarmed.rig.daemon.command.speed_mps == 0.0
     refused = ctl("arm")
     assert (refused.exit_code, "ESTOP" in refused.output) == (1, True)
+    assert ".." not in refused.output
     cleared = ctl("clear", "--json")
     assert cleared.exit_code == 0
     assert json.loads(cleared.output)["state"] == "DISARMED"
