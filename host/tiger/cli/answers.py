@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from contextlib import contextmanager
@@ -14,9 +15,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
-def refuse_unwritable(file: Path) -> None:
+def refuse_unwritable(file: Path | None) -> None:
     """End the program with one line if a result could not be written; better now than after the work."""
-    if str(file) == "-":
+    if file is None or str(file) == "-":
         return
     folder = file.parent
     why = None
@@ -29,6 +30,17 @@ def refuse_unwritable(file: Path) -> None:
     if why is not None:
         typer.echo(f"{file}: cannot be written ({why}); choose another place", err=True)
         raise typer.Exit(2)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for results; end the program with one line if they could not be written there."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK):
+            raise PermissionError(errno.EACCES, "not permitted")
+    except OSError as error:
+        typer.echo(f"{folder}: cannot be written ({error.strerror}); choose another folder", err=True)
+        raise typer.Exit(2) from None
 
 
 def scenario_names() -> list[str]:

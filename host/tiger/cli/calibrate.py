@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tiger.cli.answers import scenario_names
+from tiger.cli.answers import make_folder, refuse_unwritable, scenario_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -120,6 +120,8 @@ def strokes(
     """Potentiometers, against a ruler (Figure 3.9)."""
     from tiger.calibration.strokes import plot, positions_mm, strokes_procedure
 
+    if plots is not None:
+        make_folder(plots)
     moves = arm or emulate is not None
     wishes = _Wishes(config, emulate, seed, yes, json_file)
     result = _calibrate(
@@ -161,6 +163,7 @@ def wheels(
         _fail("wheels: the robot has to drive for it; give --arm when its way is clear")
     if turns == 0:
         _fail("wheels: --turns 0 turns nothing; ask for at least one")
+    refuse_unwritable(output)
     wishes = _Wishes(config, emulate, seed, True, json_file)
     course = Course(distance, turns, turn_speed)
     with _told(), _Screen() as screen:
@@ -259,6 +262,7 @@ def _rig(robot: RobotConfig, scenario: str, seed: int) -> Rig:
 def _load(wishes: _Wishes) -> RobotConfig:
     from tiger.config.robot import load_robot
 
+    refuse_unwritable(wishes.json_file)
     return load_robot(wishes.config)
 
 

@@ -51,7 +51,7 @@ COMMANDS = {
         (
             "tiger calibrate imu --config robot.toml",
             "tiger calibrate wheels --arm --distance 5 --turns 2 --output wheels.toml",
-            "tiger calibrate strokes --emulate shaking-plate --yes --plots plots",
+            "tiger calibrate strokes --emulate smooth-floor --yes --plots plots",
         ),
     ),
     "ctl": Entry(

@@ -263,8 +263,7 @@ def _check(wishes: Wishes, robot: RobotConfig, json_file: Path | None) -> None:
     for option, value, most, unit, key in asked:
         if not abs(value) <= most:  # nan is refused too
             _fail(f"{option} {value:g}: is outside ±{most:g} {unit} ({key} under [drive]); ask for less")
-    if json_file is not None:
-        refuse_unwritable(json_file)
+    refuse_unwritable(json_file)
 
 
 def _fail(message: str) -> NoReturn:
