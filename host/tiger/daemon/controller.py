@@ -14,8 +14,6 @@ import math
 from dataclasses import field
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from tiger.control import attitude, balance, drive, motor_heat, stability, traction
 from tiger.control.attitude import LevelingDesign, LevelingState, Target
 from tiger.control.balance import BalanceState
@@ -192,9 +190,10 @@ def _observe(
     strokes, imu = inputs.strokes, inputs.imu
     if strokes is None:
         return state.observer, Estimate()
-    lift, ratio = seats(design.leveling.suspension, strokes.stroke_mm)
-    lift_m = np.array(lift) * 0.001
-    lift_rate_mps = np.array(ratio) * np.array(strokes.rate_mmps) * 0.001
+    (fl, fr, rl, rr), (p, q, r, s) = seats(design.leveling.suspension, strokes.stroke_mm)
+    v, w, x, y = strokes.rate_mmps
+    lift_m = 0.001 * fl, 0.001 * fr, 0.001 * rl, 0.001 * rr
+    lift_rate_mps = 0.001 * p * v, 0.001 * q * w, 0.001 * r * x, 0.001 * s * y
     sample = imu if imu is not None and imu.t_s > state.imu_t_s else None
     age_s = 0.0 if sample is None else inputs.now_s - sample.t_s
     error = state.situation.tilt_error

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,10 +39,9 @@ BIAS = ("gyro_bias_x_radps", "gyro_bias_y_radps")
 MEASURED = ("roll_rad", "pitch_rad", "gyro_x_radps", "gyro_y_radps", "imu_heave_accel_mps2")
 
 _INDEX = {name: i for i, name in enumerate((*STATES, *PLATE, *BIAS))}
-# In the order of the fields of `Estimate`.
-_SHOWN = np.array(
-    [_INDEX[n] for n in ("roll_rad", "pitch_rad", "roll_rate_radps", "pitch_rate_radps")]
-    + [_INDEX[n] for n in (PLATE[0], PLATE[2], PLATE[1], PLATE[3], *BIAS)]
+_SHOWN = itemgetter(  # in the order of the fields of `Estimate`
+    *[_INDEX[n] for n in ("roll_rad", "pitch_rad", "roll_rate_radps", "pitch_rate_radps")],
+    *[_INDEX[n] for n in (PLATE[0], PLATE[2], PLATE[1], PLATE[3], *BIAS)],
 )
 
 
@@ -58,12 +58,13 @@ class ObserverDesign:
     """D (p, 4)."""
     tick: Array
     """(n + p, n + 4): next state and its outputs from state and seat forces, in one product."""
-    corrections: tuple[Array, ...]
-    """For a sample j ticks old, (n + p j, p): what its innovation adds to the state and to j predictions."""
+    corrections: tuple[tuple[Array, ...], ...]
+    """For a sample j ticks old: what its innovation adds to the state, (n, p), and to each of the j
+    predictions since, (p, p), newest first."""
     at_rest: Array
     """(n, 6): state at rest on a plate of given roll and pitch under given seat forces."""
-    spring_npm: Array
-    damper_nspm: Array
+    spring_npm: Four
+    damper_nspm: Four
     nominal: Array
     """Static roll and pitch of the body under unit seat forces (2, 4)."""
     sigma_rad: float
@@ -72,10 +73,10 @@ class ObserverDesign:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObserverState:
-    """The state (n,) and the outputs predicted for the last h ticks (h, p), newest first."""
+    """The state (n,) and the outputs predicted for the last h ticks, (p,) each, newest first."""
 
     x: Array
-    predicted: Array
+    predicted: tuple[Array, ...]
     ready: bool
 
 
@@ -105,7 +106,7 @@ def design_observer(robot: RobotConfig) -> ObserverDesign:
     corrections, carried = [], [filtered.gain]
     for _ in range(history):
         later_predictions = [sampled.c @ correction for correction in reversed(carried[1:])]
-        corrections.append(np.vstack([carried[-1], *later_predictions]))
+        corrections.append((carried[-1], *later_predictions))
         carried.append(transition @ carried[-1])
 
     attitude = [_INDEX["roll_rad"], _INDEX["pitch_rad"]]
@@ -122,8 +123,8 @@ def design_observer(robot: RobotConfig) -> ObserverDesign:
         ),
         corrections=tuple(corrections),
         at_rest=at_rest,
-        spring_npm=parameters.spring_npm(),
-        damper_nspm=parameters.damper_nspm(),
+        spring_npm=tuple(parameters.spring_npm().tolist()),
+        damper_nspm=tuple(parameters.damper_nspm().tolist()),
         nominal=np.asarray(settled[attitude, 2:]),
         sigma_rad=float(np.sqrt(np.diag(filtered.posterior)[attitude].max())),
     )
@@ -143,49 +144,45 @@ def observed_car(robot: RobotConfig) -> FullCarParameters:
 def initial_state(design: ObserverDesign) -> ObserverState:
     """Return the state before the first sample."""
     n, p = design.transition.shape[0], design.output.shape[0]
-    return ObserverState(np.zeros(n), np.zeros((len(design.corrections), p)), ready=False)
+    return ObserverState(np.zeros(n), (np.zeros(p),) * len(design.corrections), ready=False)
 
 
 def step(
     design: ObserverDesign,
     state: ObserverState,
-    lift_m: Array,
-    lift_rate_mps: Array,
+    lift_m: Four,
+    lift_rate_mps: Four,
     sample: ImuSample | None,
     age_s: float = 0.0,
     tilt_error_rad: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[ObserverState, Estimate]:
     """Advance by one tick: predict, and correct if there is a new sample.
 
-    lift_m (4,): how far each stroke lifts the spring's seat, from any fixed zero; lift_rate_mps (4,) its
-    rate. A sample `age_s` older than the history is left out; `tilt_error_rad` is added to roll and pitch.
+    `lift_m` is how far each stroke lifts the spring's seat, from any fixed zero; `lift_rate_mps` its rate. A
+    sample `age_s` older than the history is left out; `tilt_error_rad` is added to roll and pitch.
     """
-    force = design.spring_npm * lift_m + design.damper_nspm * lift_rate_mps
+    (fl, fr, rl, rr), (v, w, x, y) = lift_m, lift_rate_mps
+    (k_fl, k_fr, k_rl, k_rr), (c_fl, c_fr, c_rl, c_rr) = design.spring_npm, design.damper_nspm
+    force = k_fl * fl + c_fl * v, k_fr * fr + c_fr * w, k_rl * rl + c_rl * x, k_rr * rr + c_rr * y
     if not state.ready:
-        return _first(design, state, force, sample, tilt_error_rad)
-    n = len(state.x)
-    known = np.empty(n + len(force))
-    known[:n], known[n:] = state.x, force
+        return _first(design, state, np.array(force), sample, tilt_error_rad)
+    known = np.empty(design.tick.shape[1])
+    known[: -len(force)], known[-len(force) :] = state.x, force
     after = design.tick @ known
-    x = after[:n]
-    predicted = np.empty(state.predicted.shape)  # empty_like takes three times as long
-    predicted[0] = after[n:]
-    predicted[1:] = state.predicted[:-1]
-    innovation: tuple[float, ...] = ()
-    if sample is not None:
-        ticks = max(0, round(age_s / design.period_s))
-        if ticks < len(design.corrections):
-            difference = _measured(sample, tilt_error_rad) - predicted[ticks]
-            correction = design.corrections[ticks] @ difference
-            x = x + correction[:n]
-            if ticks:
-                predicted[:ticks] += correction[n:].reshape(ticks, -1)
-            innovation = tuple(difference.tolist())
-    return ObserverState(x, predicted, ready=True), _estimate(design, x, innovation)
+    n = len(state.x)
+    now, predicted = after[:n], (after[n:], *state.predicted[:-1])
+    if sample is None or (ticks := max(0, round(age_s / design.period_s))) >= len(design.corrections):
+        return ObserverState(now, predicted, ready=True), _estimate(design, now)
+    innovation = _measured(sample, tilt_error_rad) - predicted[ticks]
+    to_state, *to_predictions = design.corrections[ticks]
+    now = now + to_state @ innovation
+    corrected = [old + change @ innovation for old, change in zip(predicted, to_predictions, strict=False)]
+    state = ObserverState(now, (*corrected, *predicted[ticks:]), ready=True)
+    return state, _estimate(design, now, tuple(innovation.tolist()))
 
 
 def _estimate(design: ObserverDesign, x: Array, innovation: tuple[float, ...] = ()) -> Estimate:
-    roll, pitch, roll_rate, pitch_rate, *plate, bias_x, bias_y = x[_SHOWN].tolist()
+    roll, pitch, roll_rate, pitch_rate, *plate, bias_x, bias_y = _SHOWN(x.tolist())
     return Estimate(
         ready=True,
         roll_rad=roll,
@@ -215,8 +212,7 @@ def _first(
     plate = _measured(sample, tilt_error_rad)[:2] - design.nominal @ force
     x = design.at_rest @ np.concatenate([plate, force])
     output = design.output @ x + design.feedthrough @ force
-    predicted = np.tile(output, (len(state.predicted), 1))
-    return ObserverState(x, predicted, ready=True), _estimate(design, x)
+    return ObserverState(x, (output,) * len(state.predicted), ready=True), _estimate(design, x)
 
 
 def attitude_rad(quaternion: Four) -> tuple[float, float]:

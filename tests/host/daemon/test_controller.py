@@ -255,7 +255,7 @@ def test_a_tick_is_a_pure_function(robot: RobotConfig) -> None:
     for tick in range(60):
         imu = ImuSample(0.01 * (tick // 2), *[getattr(LEVEL_IMU, n) for n in LEVEL_IMU.__slots__[1:]])
         inputs = Inputs(0.005 * tick + 0.01, True, asked, strokes=MID_STROKES, imu=imu)
-        before = (state.observer.x.copy(), state.observer.predicted.copy())
+        before = (state.observer.x.copy(), [row.copy() for row in state.observer.predicted])
         new, outputs = controller.step(design, state, inputs, 0.005)
         _, again = controller.step(design, state, inputs, 0.005)
         assert outputs == again
