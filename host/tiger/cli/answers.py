@@ -14,6 +14,8 @@ import typer
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from tiger.logs.reader import Log
+
 
 def refuse_unwritable(file: Path | None) -> None:
     """End the program with one line if a result could not be written; better now than after the work."""
@@ -47,6 +49,22 @@ def scenario_names() -> list[str]:
     """Names of the scenarios that come with TIGER, found without loading the emulation."""
     folder = Path(__file__).parents[1] / "emulation" / "scenarios"
     return sorted(file.stem for file in folder.glob("*.toml"))
+
+
+@contextmanager
+def reading(log: Log, text: str) -> Iterator[None]:
+    """Show how far a log was read; on a terminal only."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(text, total=1.0)
+        log.watch(lambda part: bar.update(task, completed=part))
+        yield
 
 
 @contextmanager

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from tiger.cli.answers import reading
+
 if TYPE_CHECKING:
     from tiger.calibration.identify import Identification
 
@@ -30,7 +32,8 @@ def identify(
 
     try:
         opened = open_log(log)
-        recording = read(opened)
+        with reading(opened, "reading"):
+            recording = read(opened)
         found = estimate(recording, opened.robot())
     except (LogError, IdentifyError, MechanismError) as error:
         _fail(f"{log}: {error}" if isinstance(error, IdentifyError) else error)

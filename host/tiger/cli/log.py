@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from tiger.cli.answers import make_folder, reading, starting
+
 if TYPE_CHECKING:
     from tiger.logs.replay import Replayed
     from tiger.logs.summary import Summary
@@ -66,10 +68,12 @@ def info(
 
     try:
         opened = open_log(log)
-        summary = summarise(opened)
-        findings = (
-            [f"{f.path.name}: {text}" for f in opened.files for text in examine(f.path)] if check else []
-        )
+        with reading(opened, "reading"):
+            summary = summarise(opened)
+        with starting("examining"):
+            findings = (
+                [f"{f.path.name}: {text}" for f in opened.files for text in examine(f.path)] if check else []
+            )
     except LogError as error:
         _fail(error)
     if json_file is not None:
@@ -116,7 +120,8 @@ def _show(summary: Summary) -> None:
 
     if summary.lateness_us:
         late = summary.lateness_us
-        shown = f"{late['p50_us']} us (median), {late['p99_us']} us (99 %), {late['max_us']} us (worst)"
+        p50, p99, worst = (f"{late[name] / 1e3:.2f} ms" for name in ("p50_us", "p99_us", "max_us"))
+        shown = f"{p50} (median), {p99} (99 %), {worst} (worst)"
         console.print(f"Ticks late by {shown}")
     if summary.missing_ticks or summary.dropped_packets:
         console.print(
@@ -138,8 +143,11 @@ def plot(
     from tiger.logs.plots import plot as draw
     from tiger.logs.reader import open_log
 
+    make_folder(out)
     try:
-        paths = draw(open_log(log), out)
+        opened = open_log(log)
+        with reading(opened, "reading"):
+            paths = draw(opened, out)
     except LogError as error:
         _fail(error)
     except OSError as error:
@@ -164,8 +172,11 @@ def export_csv(
     from tiger.logs.export import csv_files
     from tiger.logs.reader import open_log
 
+    make_folder(out)
     try:
-        rows = csv_files(open_log(log), out, topic or None)
+        opened = open_log(log)
+        with reading(opened, "reading, then again writing"):
+            rows = csv_files(opened, out, topic or None)
     except (LogError, CdrError) as error:
         _fail(error)
     except OSError as error:
@@ -186,8 +197,11 @@ def export_wire(
     from tiger.logs.export import wire_files
     from tiger.logs.reader import open_log
 
+    make_folder(out)
     try:
-        sizes = wire_files(open_log(log), out)
+        opened = open_log(log)
+        with reading(opened, "writing"):
+            sizes = wire_files(opened, out)
     except LogError as error:
         _fail(error)
     except OSError as error:
@@ -204,7 +218,9 @@ def frames(log: LogPath) -> None:
     from tiger.logs.topics import FAULT
 
     try:
-        reports = [logged.value() for logged in open_log(log).messages((FAULT,))]
+        opened = open_log(log)
+        with reading(opened, "looking for stops"):
+            reports = [logged.value() for logged in opened.messages((FAULT,))]
     except LogError as error:
         _fail(error)
     if not reports:
@@ -245,7 +261,9 @@ def replay(
 
     try:
         opened = open_log(log)
-        found = step_again(opened, None if config is None else load_robot(config))
+        robot = None if config is None else load_robot(config)
+        with reading(opened, "stepping"):
+            found = step_again(opened, robot)
     except (LogError, ConfigError) as error:
         _fail(error)
     if json_file is not None:

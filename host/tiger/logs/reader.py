@@ -24,7 +24,7 @@ from tiger.logs.topics import HEALTH, TICK, Health, message_type
 from tiger.record import Record
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Callable, Collection, Iterator
 
 MAGIC_BYTES = 8
 UNREADABLE = (McapError, struct.error, ValueError, zstandard.ZstdError)
@@ -59,6 +59,7 @@ class LogFile:
         self.channels: dict[int, Channel] = {}
         self.complete = False  # ends as a file should
         self.damage: list[str] = []
+        self.watch: Callable[[float], None] = lambda part: None  # told which part of the file was read
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Logged]:
         """Yield all messages in the order they were logged, or those of some topics. Raises LogError."""
@@ -68,6 +69,7 @@ class LogFile:
         except OSError as error:
             raise LogError(f"{self.path}: cannot be read ({error.strerror}); check the path") from error
         with file:
+            size = max(self.path.stat().st_size, 1)
             records = StreamReader(file, emit_chunks=True).records
             while True:
                 try:
@@ -79,6 +81,7 @@ class LogFile:
                         raise LogError(f"{self.path}: is no MCAP file; name a log of this program") from error
                     self.damage.append(f"ends in the middle of a record, at byte {file.tell()}")
                     return
+                self.watch(file.tell() / size)
                 yield from self._take(record, topics)
 
     def _take(self, record: Any, topics: Collection[str] | None) -> Iterator[Logged]:
@@ -125,6 +128,16 @@ class Log:
 
     def __init__(self, paths: list[Path]) -> None:
         self.files = [LogFile(path) for path in paths]
+
+    def watch(self, progress: Callable[[float], None]) -> None:
+        """From now on tell `progress` which part of the log was read, each time that it is read."""
+        count = len(self.files)
+
+        def of_file(k: int) -> Callable[[float], None]:
+            return lambda part: progress((k + part) / count)
+
+        for k, file in enumerate(self.files):
+            file.watch = of_file(k)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Logged]:
         """Yield all messages of all files in order, or those of some topics. Raises LogError."""

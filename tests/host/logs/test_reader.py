@@ -128,3 +128,13 @@ def test_an_independent_reader_decodes_every_message(run: Run) -> None:
     assert last is not None
     assert tuple(ticks[-1].inputs.imu[0].quaternion) == last.quaternion
     assert {message.channel.topic for message in decoded} == topics
+
+
+def test_whoever_watches_is_told_which_part_was_read(run: Run) -> None:
+    log = open_log(run.folder)
+    parts: list[float] = []
+    log.watch(parts.append)
+    assert sum(1 for _ in log.records()) == len(run.records)
+    assert parts == sorted(parts)
+    assert 0.0 < parts[0] < 0.5
+    assert parts[-1] == pytest.approx(1.0)
