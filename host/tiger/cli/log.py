@@ -146,7 +146,7 @@ def plot(
     make_folder(out)
     try:
         opened = open_log(log)
-        with reading(opened, "reading"):
+        with reading(opened, "reading, then drawing"):
             paths = draw(opened, out)
     except LogError as error:
         _fail(error)

@@ -136,5 +136,6 @@ def test_whoever_watches_is_told_which_part_was_read(run: Run) -> None:
     log.watch(parts.append)
     assert sum(1 for _ in log.records()) == len(run.records)
     assert parts == sorted(parts)
+    assert parts == sorted(parts)
     assert 0.0 < parts[0] < 0.5
-    assert parts[-1] == pytest.approx(1.0)
+    assert parts[-1] == pytest.approx(1.0, abs=1e-3)  # what ends a file is not a record
