@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from tiger.logs.session import LogSession
     from tiger.rig.separate import SeparateRobot
 
-SERIES_HZ = 100.0
+JOURNAL_HZ = 100.0
 ARM_PATIENCE_S = 30.0
 LEVEL_BAND_DEG = 0.5
 
@@ -66,8 +66,9 @@ class Journal:
         }
     )
     ticks: int = 0
-    armed_ticks: int = 0
-    level_ticks: int = 0
+    looks: int = 0
+    armed_looks: int = 0
+    level_looks: int = 0
     first_armed_s: float | None = None
     stops: list[str] = field(default_factory=list)
     last: Record | None = None
@@ -76,15 +77,16 @@ class Journal:
     drive: dict[str, Any] | None = None
 
     def add(self, record: Record, time_s: float, truth_deg: tuple[float, float] | None, keep: bool) -> None:
-        """Take one tick; `truth_deg` is the true roll and pitch where someone knows them."""
+        """Look at a tick; `truth_deg` is the true roll and pitch where someone knows them."""
         estimate = record.outputs.estimate
         attitude = (math.degrees(estimate.roll_rad), math.degrees(estimate.pitch_rad))
-        self.ticks += 1
+        self.ticks = record.tick + 1
+        self.looks += 1
         if record.state is DaemonState.ARMED:
-            self.armed_ticks += 1
+            self.armed_looks += 1
             if self.first_armed_s is None:
                 self.first_armed_s = time_s
-            self.level_ticks += max(map(abs, truth_deg or attitude)) < LEVEL_BAND_DEG
+            self.level_looks += max(map(abs, truth_deg or attitude)) < LEVEL_BAND_DEG
         stopped = record.state in (DaemonState.FAULT, DaemonState.ESTOP)
         if stopped and (self.last is None or self.last.state is not record.state):
             self.stops.append(f"{time_s:.2f} s: {record.reason}")
@@ -128,8 +130,8 @@ class Journal:
             "duration_s": round(self.last_time_s, 3),
             "ticks": self.ticks,
             "first_armed_s": self.first_armed_s,
-            "armed_share": self.armed_ticks / self.ticks if self.ticks else 0.0,
-            "level_share_of_armed": self.level_ticks / self.armed_ticks if self.armed_ticks else 0.0,
+            "armed_share": self.armed_looks / self.looks if self.looks else 0.0,
+            "level_share_of_armed": self.level_looks / self.armed_looks if self.armed_looks else 0.0,
             "stops": self.stops,
             "problems": [str(problem) for problem in last.problems] if last else [],
             "links": {
@@ -155,8 +157,8 @@ class Journal:
         late = f" Ticks were late by {_late(lateness)}." if lateness and lateness.ticks else ""
         if self.stops:
             return f"Stopped at {self.stops[0]}; ended {last.state.name}.{late}", not wished_armed
-        if self.armed_ticks:
-            share = 100.0 * self.level_ticks / self.armed_ticks
+        if self.armed_looks:
+            share = 100.0 * self.level_looks / self.armed_looks
             return (
                 f"Armed from {self.first_armed_s:.1f} s; within {LEVEL_BAND_DEG:g} degrees of level for "
                 f"{share:.1f} % of that time; no faults.{late}",
@@ -465,7 +467,7 @@ def _run_virtual(robot: RobotConfig, scenario_name: str, seed: int, wishes: Wish
         rig.daemon = Daemon(rig.config, log.tap(rig.ports), rig.clock, nonce=seed + 1)
     journal, driver, printer = Journal(), _Driver(rig.daemon, wishes), _Printer()
     look = _overseer(robot, rig.daemon)
-    every = max(round(robot.loop.rate_hz / SERIES_HZ), 1)
+    every = max(round(robot.loop.rate_hz / JOURNAL_HZ), 1)
     duration_s = wishes.duration_s if wishes.duration_s is not None else scenario.duration_s
     drawn_s = -math.inf
     display = Screen(f"TIGER, emulated: {scenario.title}") if is_terminal() else nullcontext()
@@ -473,9 +475,10 @@ def _run_virtual(robot: RobotConfig, scenario_name: str, seed: int, wishes: Wish
         for tick, record in enumerate(rig.run(duration_s)):
             driver.after(record)
             log.record(record, rig.daemon)
-            keep = wishes.keep_series and tick % every == 0
-            truth = rig.robot.truth()
-            journal.add(record, rig.time_s, (truth.roll_deg, truth.pitch_deg), keep)
+            if tick % every == 0:
+                truth = rig.robot.truth()
+                truth_deg = truth.roll_deg, truth.pitch_deg
+                journal.add(record, rig.time_s, truth_deg, wishes.keep_series)
             if screen is None:
                 printer.show(record, rig.time_s)
             elif time.monotonic() - drawn_s > 1.0 / FRAMES_PER_S:
@@ -541,7 +544,7 @@ def _run_real_time(
     programs = _Socket(robot, wishes)
     _note(daemon, *programs.trouble)
     look = _overseer(robot, daemon)
-    every = max(round(robot.loop.rate_hz / SERIES_HZ), 1)
+    every = max(round(robot.loop.rate_hz / JOURNAL_HZ), 1)
     draw_every = max(round(robot.loop.rate_hz / 50.0), 1)
     display = ScreenProcess(title) if is_terminal() else nullcontext()
     with _signals() as stop_asked, log, display as screen:
@@ -549,10 +552,12 @@ def _run_real_time(
         start_s = clock.now_s()
 
         def on_record(record: Record) -> bool:
-            keep = wishes.keep_series and record.tick % every == 0
             driver.after(record)
             log.record(record, daemon)
             programs.poll(daemon, record, clock.now_s())
+            if record.tick % every != 0:
+                return not stop_asked()
+            keep = wishes.keep_series
             if emulated is None:
                 journal.add(record, clock.now_s() - start_s, None, keep)
             else:

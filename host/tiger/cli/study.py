@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
+
+from tiger.cli.answers import make_folder, refuse_unwritable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,6 +36,88 @@ STUDIES = {
     "uneven-terrain": "Driving over uneven terrain, strokes held and body levelled (Figure 4.12)",
 }
 
+
+class Meaning(NamedTuple):
+    """What a parameter of a study is, for the study's help; the same in every study."""
+
+    metavar: str
+    help: str
+    least: float | None = None
+
+
+MEANINGS = {
+    "vehicle": Meaning("NAME|FILE", "Preset or file of the vehicle."),
+    "seed": Meaning("NUMBER", "Of everything random.", 0),
+    "first_seed": Meaning("NUMBER", "Seeds count up from here.", 0),
+    "noise": Meaning(
+        "FACTOR", "Of the sensors' noise: 1 is 0.02 m/s2 and 0.001 rad/s per sample at 200 Hz.", 0
+    ),
+    "duration_s": Meaning("SECONDS", "How long each run is.", 0.1),
+    "speed_kmh": Meaning("KM/H", "Constant speed."),
+    "step_m": Meaning("METRES", "Height of the step."),
+    "dt_s": Meaning("SECONDS", "Step of the integration.", 1e-5),
+    "inertia_divisor": Meaning(
+        "FACTOR", "What the moments of inertia are divided by; printed figures differ in it."
+    ),
+    "periods": Meaning("NUMBER", "How many periods are run.", 1),
+    "runs": Meaning("NUMBER", "How many runs; of tip-over, one in five is a curb.", 1),
+    "jobs": Meaning("NUMBER", "Processes; -1: one for each core, 1: this one.", -1),
+    "preview": Meaning("", "The rear wheels are told what the front wheels met."),
+    # eam
+    "stroke_mm": Meaning("MM", "Longest stroke; section 3.3.2 has 100, the fitted motor 70."),
+    "points": Meaning("NUMBER", "How many strokes are solved.", 2),
+    # quarter-car
+    "axle": Meaning("front|rear", "Whose corner is driven."),
+    "push_n": Meaning("NEWTON", "Force of the actuator's push."),
+    # handling
+    "yaw_rate_amplitude_radps": Meaning("RAD/S", "Amplitude of the sine."),
+    "yaw_rate_frequency_radps": Meaning("RAD/S", "Angular frequency of the sine."),
+    # corner-bump, double-bump
+    "step_at_s": Meaning("SECONDS", "When the step comes."),
+    "bump_m": Meaning("METRES", "Height of the bumps."),
+    "bump_length_m": Meaning("METRES", "Length of the bumps."),
+    "attitude_bandwidth_hz": Meaning("HERTZ", "How fast the active car returns to level."),
+    "damper_share_kept": Meaning("SHARE", "Part of the damper forces that is not cancelled, 0 to 1."),
+    "eam": Meaning("NAME|FILE", "Vehicle whose series actuators are borrowed."),
+    # identification, observer
+    "snr_db": Meaning("DB", "Signal-to-noise ratio of every output."),
+    "simultaneous": Meaning("", "One record with orthogonal multisines at all inputs instead of eight."),
+    "closed_loop": Meaning("", "Compare controllers designed from fitted and from true parameters as well."),
+    "loop_roads": Meaning("NUMBER", "Roads for that comparison.", 1),
+    "iso_road_seed": Meaning("NUMBER", "Of the ISO road.", 0),
+    # table-6-2, speed-sweep, force-limits
+    "bumpy_noise": Meaning("FACTOR", "Of the sensors' noise on the bumpy road.", 0),
+    "iso_noise": Meaning("FACTOR", "Of the sensors' noise on the ISO road.", 0),
+    "bumpy_seeds": Meaning("NUMBER", "Runs on the bumpy road.", 1),
+    "iso_seeds": Meaning("NUMBER", "Runs on the ISO road.", 1),
+    "schedule": Meaning("", "Weights follow the speed; otherwise those of 20 m/s, as in the dissertation."),
+    "slowest_mps": Meaning("M/S", "First speed."),
+    "fastest_mps": Meaning("M/S", "Last speed."),
+    "step_mps": Meaning("M/S", "From one speed to the next."),
+    "rate_nps": Meaning("N/S", "How fast a force may change."),
+    "travel_mm": Meaning("MM", "Suspension travel that the predictive controller aims to keep."),
+    # monte-carlo
+    "design": Meaning("NAME", "Of the controller: robust, holding, holding-preview or comfort-preview."),
+    "road_class": Meaning("A-H", "Class of the road (ISO 8608)."),
+    "com": Meaning("SHARE", "Half-width of the centre of mass's error, 0.2: 20 %.", 0),
+    "mass": Meaning("SHARE", "Half-width of the mass's error.", 0),
+    "spring": Meaning("SHARE", "Half-width of the springs' error.", 0),
+    "delay_ms": Meaning("MS", "Mean delay from sensor to actuator.", 0),
+    "delay_spread_ms": Meaning("MS", "Half-width of that delay.", 0),
+    "cluster": Meaning(
+        "ADDRESS", "Dask scheduler, such as tcp://127.0.0.1:8786; default: processes of this computer."
+    ),
+    # shaking-plate, loose-slope, tip-over, uneven-terrain
+    "axis": Meaning("roll|pitch", "About which the plate tilts."),
+    "step_deg": Meaning("DEGREES", "Height of the step."),
+    "amplitude_deg": Meaning("DEGREES", "Of the rocking."),
+    "frequency_hz": Meaning("HERTZ", "Of the rocking."),
+    "all_cases": Meaning("", "Also what the figures do not show."),
+    "keep": Meaning("FILE", "Keep every outcome here, and go on from it while the program is the same."),
+    "picture": Meaning("", "Drive the case of the picture as well."),
+    "speeds_kmh": Meaning("KM/H,...", "Speeds with commas between."),
+}
+
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
@@ -47,7 +132,11 @@ def _run(module_name: str, parameters: dict[str, Any], json_path: Path | None, p
 
     from tiger.config.errors import ConfigError
 
-    console = Console()
+    refuse_unwritable(json_path)
+    if plots is not None:
+        make_folder(plots)
+    to_screen = str(json_path) == "-"
+    console = Console(stderr=to_screen)
     module = importlib.import_module(f"tiger.studies.{module_name}")
     try:
         if "progress" in inspect.signature(module.run).parameters:
@@ -58,7 +147,7 @@ def _run(module_name: str, parameters: dict[str, Any], json_path: Path | None, p
                 report: Report = module.run(**parameters)
         else:
             report = module.run(**parameters)
-    except (ConfigError, ValueError) as error:
+    except (ConfigError, ValueError, OSError) as error:
         Console(stderr=True).print(
             f"study {module_name.replace('_', '-')}: {error}", style="red", markup=False
         )
@@ -66,10 +155,11 @@ def _run(module_name: str, parameters: dict[str, Any], json_path: Path | None, p
     console.print(report.table())
     for name, value in report.assumptions.items():
         console.print(f"  {name}: {value}", style="dim", markup=False, highlight=False)
-    if json_path is not None:
+    if to_screen:
+        typer.echo(json.dumps(report.to_json(), allow_nan=False))
+    elif json_path is not None:
         report.write_json(json_path)
     if plots is not None:
-        plots.mkdir(parents=True, exist_ok=True)
         for path in module.plot(report, plots):
             console.print(f"plot: {path}", markup=False, highlight=False)
 
@@ -79,9 +169,7 @@ def _command(module_name: str) -> Callable[..., None]:
     module = importlib.import_module(f"tiger.studies.{module_name}")
     signature = inspect.signature(module.run)
     own = [
-        parameter.replace(
-            kind=inspect.Parameter.KEYWORD_ONLY, annotation=_evaluated(parameter.annotation, module)
-        )
+        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=_explained(parameter, module))
         for parameter in signature.parameters.values()
         if parameter.name != "progress"
     ]
@@ -91,14 +179,19 @@ def _command(module_name: str) -> Callable[..., None]:
             inspect.Parameter.KEYWORD_ONLY,
             default=None,
             annotation=Annotated[
-                Path | None, typer.Option("--json", help="Write rows, series and assumptions here.")
+                Path | None,
+                typer.Option(
+                    "--json", metavar="FILE", help="Write rows, series and assumptions here, - to the screen."
+                ),
             ],
         ),
         inspect.Parameter(
             "plots",
             inspect.Parameter.KEYWORD_ONLY,
             default=None,
-            annotation=Annotated[Path | None, typer.Option("--plots", help="Write the figures as PNG here.")],
+            annotation=Annotated[
+                Path | None, typer.Option("--plots", metavar="FOLDER", help="Write the figures as PNG here.")
+            ],
         ),
     ]
 
@@ -114,9 +207,15 @@ def _command(module_name: str) -> Callable[..., None]:
     return command
 
 
-def _evaluated(annotation: Any, module: ModuleType) -> Any:
-    """Return the type behind an annotation of `module`, which may be text (postponed evaluation)."""
-    return eval(annotation, vars(module)) if isinstance(annotation, str) else annotation
+def _explained(parameter: inspect.Parameter, module: ModuleType) -> Any:
+    """The type of a parameter, with its meaning for the help."""
+    annotation = parameter.annotation
+    if isinstance(annotation, str):  # postponed evaluation
+        annotation = eval(annotation, vars(module))
+    meaning = MEANINGS[parameter.name]
+    return Annotated[
+        annotation, typer.Option(metavar=meaning.metavar or None, help=meaning.help, min=meaning.least)
+    ]
 
 
 class _LazyStudies(typer.core.TyperGroup):

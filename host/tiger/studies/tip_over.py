@@ -10,10 +10,9 @@ import hashlib
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
-import typer
 
 import tiger
 from tiger.studies import tip_over_runs
@@ -178,14 +177,11 @@ def tally(pairs: list[Pair]) -> Tally:
 
 
 def run(
-    runs: Annotated[int, typer.Option(min=1, help="Cases; one in five is a curb.")] = 40,
-    first_seed: Annotated[int, typer.Option(help="Seed of the first case.")] = 0,
-    jobs: Annotated[int, typer.Option(help="Processes; -1: one for each core.")] = -1,
-    keep: Annotated[
-        Path | None,
-        typer.Option(help="Keep every outcome here, and go on from it while the program is the same."),
-    ] = None,
-    picture: Annotated[bool, typer.Option(help="Drive the case of the picture as well.")] = True,
+    runs: int = 40,
+    first_seed: int = 0,
+    jobs: int = -1,
+    keep: Path | None = None,
+    picture: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> Report:
     """Run randomised roll-overs without and with the limiter, and curbs; 1000 take 20 min on two cores."""

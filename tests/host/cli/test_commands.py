@@ -15,6 +15,7 @@ from typer.testing import CliRunner, Result
 from tiger.cli import doctor
 from tiger.cli import main as main_module
 from tiger.cli.main import COMMANDS, app
+from tiger.cli.study import STUDIES
 from tiger.protocol.frame import encode_message
 from tiger.protocol.messages import BoardState, Fault, Health, SuspensionSetpoint, SuspensionState
 
@@ -111,6 +112,42 @@ def test_a_mistake_of_the_program_is_two_lines_and_a_status_of_its_own(
     monkeypatch.setenv("TIGER_TRACEBACK", "1")
     with pytest.raises(ZeroDivisionError):
         main_module.main()
+
+
+# ------------------------------------------------------------------------------------------------------ study
+
+
+@pytest.mark.parametrize("name", list(STUDIES))
+def test_every_option_of_a_study_is_explained(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = tiger("study", name, "--help", monkeypatch=monkeypatch)
+    assert result.exit_code == 0, result.output
+    assert "<" not in result.output  # an option whose unit or kind was not named
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--vehicle", "nope"], "vehicle 'nope' is not known"),
+        (["--json", "/no/such/out.json"], "cannot be written (there is no folder /no/such)"),
+        (["--plots", "/proc/no"], "/proc/no: cannot be written"),
+        (["--points", "1"], "greater than or equal to 2"),
+    ],
+)
+def test_a_study_refuses_before_it_works(
+    words: list[str], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = tiger("study", "eam", *words, monkeypatch=monkeypatch)
+    assert result.exit_code == 2
+    assert message in result.output
+
+
+def test_figures_of_a_study_to_the_screen_are_all_there_is_on_standard_output() -> None:
+    words = ["study", "eam", "--points", "3", "--json", "-"]
+    result = subprocess.run(
+        [sys.executable, "-m", "tiger.cli.main", *words], capture_output=True, text=True, timeout=120
+    )
+    assert json.loads(result.stdout)["rows"]
+    assert "quantity" in result.stderr
 
 
 # -------------------------------------------------------------------------------------------------------- run
