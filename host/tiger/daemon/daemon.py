@@ -286,7 +286,7 @@ class Daemon:
 
     def _inputs(self, now_s: float) -> Inputs:
         command = self.command
-        if not self._wheel_check.passed:
+        if self._motion_wanted() and not self._wheel_check.passed:
             command = replace(command, speed_mps=0.0, yaw_rate_radps=0.0)
         samples = [drive.sample for drive in self.drives] or [None, None]
         return Inputs(
@@ -481,9 +481,14 @@ class Daemon:
             outputs = replace(outputs, stroke_rate_mmps=STILL, reason="holding: samples are late")
         if self._wheel_check.passed or not self.drives:
             return outputs
-        wanted = self.command.speed_mps != 0.0 or self.command.yaw_rate_radps != 0.0
-        self._wheel_check = wheel_check.step(self._wheel_check, wanted, inputs, self.robot.loop.period_s)
-        return replace(outputs, wheel_rpm=self._wheel_check.wheel_rpm)
+        self._wheel_check = wheel_check.step(
+            self._wheel_check, self._motion_wanted(), inputs, self.robot.loop.period_s
+        )
+        wheel_rpm = self._wheel_check.wheel_rpm
+        return outputs if outputs.wheel_rpm == wheel_rpm else replace(outputs, wheel_rpm=wheel_rpm)
+
+    def _motion_wanted(self) -> bool:
+        return self.command.speed_mps != 0.0 or self.command.yaw_rate_radps != 0.0
 
     def _send(self, outputs: Outputs, now_s: float) -> None:
         link = self.boards.link(SUSPENSION)
