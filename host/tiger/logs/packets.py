@@ -45,13 +45,9 @@ class Start:
         return cls(**json.loads(data))
 
 
-def pack(entries: list[Entry]) -> bytes:
-    """Entries as one packet."""
-    parts: list[bytes] = []
-    for t_ns, topic, data in entries:
-        name = topic.encode()
-        parts += (_HEAD.pack(t_ns, len(name), len(data)), name, data)
-    return b"".join(parts)
+def parts(t_ns: int, topic: bytes, data: bytes) -> tuple[bytes, bytes, bytes]:
+    """One entry; a packet is the parts of its entries, one after the other."""
+    return _HEAD.pack(t_ns, len(topic), len(data)), topic, data
 
 
 def unpack(packet: bytes) -> list[Entry]:

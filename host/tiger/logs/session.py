@@ -57,6 +57,8 @@ TICKS_PER_PACKET = 8  # handing over costs more than packing: 40 ms of ticks go 
 FULL = (errno.EAGAIN, errno.EMSGSIZE, errno.ENOBUFS)  # the socket takes nothing now
 START_TIME_S = 20.0
 END_TIME_S = 20.0
+_TICKS = cdr.message(Tick)
+_TICK, _HEALTH, _CHECKPOINT, _LOG_STATUS = (t.encode() for t in (TICK, HEALTH, CHECKPOINT, LOG_STATUS))
 HEALTH_PERIOD_NS = 1_000_000_000
 CHECKPOINT_PERIOD_NS = 10_000_000_000
 NS_PER_S = 1_000_000_000
@@ -105,12 +107,12 @@ class LogSession:
         )
         self._socket: socket.socket | None = None
         self._process: subprocess.Popen[bytes] | None = None
-        self._entries: list[packets.Entry] = []
+        self._packet: list[bytes] = []  # its parts
         self._pending_bytes = 0
-        self._topics: dict[tuple[str, bool], str] = {}
+        self._topics: dict[tuple[str, bool], bytes] = {}
         self._problems: tuple[Problem, ...] | None = None
         self._links: tuple[LinkStatus, ...] | None = None
-        self._wired: list[tuple[str, bytes]] = []  # bytes since the last tick
+        self._wired: list[tuple[bytes, bytes]] = []  # bytes since the last tick
         self._health_ns = self._checkpoint_ns = 0
         self._reported = -1
         self._ticks_kept = 0
@@ -138,7 +140,7 @@ class LogSession:
         """Keep bytes of a port for the next tick: it reads and writes all of them within its millisecond."""
         topic = self._topics.get((port, sent))
         if topic is None:
-            topic = self._topics[port, sent] = wire_topic(port, sent=sent)
+            topic = self._topics[port, sent] = wire_topic(port, sent=sent).encode()
         self._wired.append((topic, data))
 
     def record(self, record: Record, control: ControllerState | None = None) -> None:
@@ -153,7 +155,7 @@ class LogSession:
         tick = Tick(
             record.tick, record.state, record.reason, record.inputs, record.outputs, record.lateness_s
         )
-        self._add(now_ns, TICK, cdr.message(Tick).pack(tick))
+        self._add(now_ns, _TICK, _TICKS.pack(tick))
         if control is not None and now_ns - self._checkpoint_ns >= CHECKPOINT_PERIOD_NS:
             self._checkpoint_ns = now_ns
             self._checkpoint(record.tick + 1, control, now_ns)
@@ -172,7 +174,7 @@ class LogSession:
         if same and now_ns - self._health_ns < HEALTH_PERIOD_NS:
             return
         self._problems, self._links, self._health_ns = record.problems, record.links, now_ns
-        self._add(now_ns, HEALTH, cdr.message(Health).pack(Health(record.problems, record.links)))
+        self._add(now_ns, _HEALTH, cdr.message(Health).pack(Health(record.problems, record.links)))
 
     def _checkpoint(self, tick: int, control: ControllerState, now_ns: int) -> None:
         try:
@@ -180,14 +182,14 @@ class LogSession:
         except TypeError as error:  # the robot must not stop for that
             self.problem = f"log: no checkpoints: {error}"
             return
-        self._add(now_ns, CHECKPOINT, cdr.message(Checkpoint).pack(point))
+        self._add(now_ns, _CHECKPOINT, cdr.message(Checkpoint).pack(point))
 
-    def _add(self, t_ns: int, topic: str, data: bytes) -> None:
+    def _add(self, t_ns: int, topic: bytes, data: bytes) -> None:
         if self._socket is None:
             return
         if self._pending_bytes > PENDING_BYTES:
             self._drop()
-        self._entries.append(packets.Entry(t_ns, topic, data))
+        self._packet += packets.parts(t_ns, topic, data)
         self._pending_bytes += len(data)
 
     def _send(self, now_ns: int) -> None:
@@ -195,9 +197,9 @@ class LogSession:
             return
         if self.dropped_packets != self._reported:
             status = LogStatus(self.dropped_packets, self.dropped_bytes)
-            self._add(now_ns, LOG_STATUS, cdr.message(LogStatus).pack(status))
+            self._add(now_ns, _LOG_STATUS, cdr.message(LogStatus).pack(status))
         try:
-            self._socket.send(packets.pack(self._entries))
+            self._socket.send(b"".join(self._packet))
         except OSError as error:
             if error.errno in FULL:
                 self._drop()
@@ -207,12 +209,12 @@ class LogSession:
         if self.dropped_packets != self._reported:
             self._reported = self.dropped_packets
             self._checkpoint_ns = 0  # after a gap, replay needs a state to begin with
-        self._entries, self._pending_bytes = [], 0
+        self._packet, self._pending_bytes = [], 0
 
     def _drop(self) -> None:
         self.dropped_packets += 1
         self.dropped_bytes += self._pending_bytes
-        self._entries, self._pending_bytes = [], 0
+        self._packet, self._pending_bytes = [], 0
         self._problems = None  # health is said again as soon as someone listens
 
     def _stopped(self) -> None:
@@ -223,7 +225,7 @@ class LogSession:
                 said = self._socket.recv(4096)
             self._socket.close()
         self._socket = None
-        self._entries, self._pending_bytes = [], 0
+        self._packet, self._pending_bytes = [], 0
         self.problem = said.decode() or "log: its process ended: nothing is logged any more"
 
     def _now_ns(self) -> int:
@@ -260,7 +262,7 @@ class LogSession:
     def __exit__(self, *_: object) -> None:
         """Let the log's process finish its file, and wait for that."""
         self._take_wired(self._now_ns())  # the daemon's last words come after its last tick
-        if self._entries:
+        if self._packet:
             self._send(self._now_ns())
         if self._socket is not None:
             self._socket.close()
