@@ -310,7 +310,8 @@ def _keyboard() -> Iterator[int | None]:
         tty.setcbreak(descriptor)
         yield descriptor
     finally:
-        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+        with contextlib.suppress(termios.error):  # of a terminal that is gone, or a shell's again
+            termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
         os.close(descriptor)
 
 

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 PERIOD_S = 0.05  # between two drive commands
 STATUS_EVERY = 4  # of these
 LEVELS = 5
+CLEAR_LINE = "\r\x1b[K"
 FIRST_HOLD_S = 0.7  # a terminal repeats a held key only after a pause of up to this ...
 REPEAT_HOLD_S = 0.15  # ... and then so often that this silence means it was let go
 
@@ -125,7 +126,8 @@ class Keyboard(Keys):
         return self
 
     def __exit__(self, *error: object) -> None:
-        termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._before)
+        with contextlib.suppress(termios.error):  # of a terminal that is gone
+            termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._before)
         os.close(self._terminal)
 
     def fileno(self) -> int:
@@ -260,10 +262,14 @@ def _find_gamepad(path: str) -> Path:
 
 @dataclass
 class Teleop:
-    """Carries motion to the robot: a `step` every 50 ms. `say` gets a line when something changes."""
+    """Carries motion to the robot: a `step` every 50 ms.
+
+    `say` gets a line when something changes, `show` the motion, which changes all the time.
+    """
 
     robot: Robot
     say: Callable[[str], None]
+    show: Callable[[str], None]
     _state: str = ""
     _told: dict[str, tuple[str, ...]] = field(default_factory=dict)
     _steps: int = 0
@@ -276,7 +282,8 @@ class Teleop:
             self._limits = answer["limits"]
             self._state = answer["status"]["state"]
             problems = [str(p["where"]) + ": " + p["text"] for p in answer["status"]["record"]["problems"]]
-            self._tell("state", f"{self._state}: {answer['status']['reason']}", *problems)
+            self._tell("state", f"{self._state}: {answer['status']['reason']}")
+            self._tell("problems", *problems)
         self._steps += 1
         if self._state != "ARMED":
             return
@@ -285,7 +292,11 @@ class Teleop:
         yaw_rate_radps = motion[1] * part * self._limits["yaw_rate_radps"][1]
         if self.ask("drive", speed_mps=speed_mps, yaw_rate_radps=yaw_rate_radps):
             turning = math.degrees(yaw_rate_radps)
-            self._tell("drive", f"level {level}: {speed_mps:+.2f} m/s, {turning:+.0f} degrees/s")
+            self._told.pop("drive", None)  # what was refused may be refused again
+            moving = f"level {level}: {speed_mps:+.2f} m/s, {turning:+.0f} degrees/s"
+            if self._told.get("moving") != (moving,):
+                self._told["moving"] = (moving,)
+                self.show(moving)
 
     def ask(self, do: str, **fields: Any) -> bool:
         """Ask for something; a refusal is said, not raised."""
@@ -305,6 +316,30 @@ class Teleop:
             self._told[what] = lines
             for line in lines:
                 self.say(line)
+
+
+class Lines:
+    """Lines on the terminal, of which the last is written over as long as it only shows the motion."""
+
+    def __init__(self) -> None:
+        self._again = CLEAR_LINE if sys.stdout.isatty() else ""
+        self._open = False
+
+    def say(self, text: str) -> None:
+        """Print a line that stays."""
+        typer.echo(f"{self._again if self._open else ''}{text}")
+        self._open = False
+
+    def show(self, text: str) -> None:
+        """Write over the line that was shown before."""
+        typer.echo(f"{self._again if self._open else ''}{text}", nl=not self._again)
+        self._open = bool(self._again)
+
+    def end(self) -> None:
+        """Leave what is shown."""
+        if self._open:
+            typer.echo()
+            self._open = False
 
 
 def operate(hands: Hands, teleop: Teleop) -> None:
@@ -353,15 +388,17 @@ def teleop(
         where = str(hands.path)
     with connected() as robot:
         typer.echo(text)
+        lines = Lines()
         try:
             with hands:
-                operate(hands, Teleop(robot, typer.echo))
+                operate(hands, Teleop(robot, lines.say, lines.show))
         except (OSError, termios.error) as error:
             if isinstance(error, ConnectionError | TimeoutError):
                 raise
             typer.echo(f"{where}: {error}; the robot was told to stop. Connect it and start again.", err=True)
             raise typer.Exit(2) from None
         finally:
+            lines.end()
             sys.stdout.flush()
     typer.echo("The robot stands still; whether it is armed has not changed.")
 

@@ -181,9 +181,10 @@ def main(descriptor: int) -> int:
         text = (
             f"log: {error.strerror or error} ({error.filename or 'the log file'}): nothing is logged any more"
         )
-        with contextlib.suppress(OSError):
-            connection.send(text.encode())
-        print(text, file=sys.stderr)
+        try:
+            connection.send(text.encode())  # the daemon tells it
+        except OSError:
+            print(text, file=sys.stderr)
         return 1
     return 0
 

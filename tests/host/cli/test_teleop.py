@@ -21,6 +21,7 @@ from tiger.cli.teleop import (
     ABS,
     AXES,
     BUTTONS,
+    CLEAR_LINE,
     DEAD_ZONE,
     DPAD_Y,
     EVENT,
@@ -31,6 +32,7 @@ from tiger.cli.teleop import (
     REPEAT_HOLD_S,
     SELECT,
     START,
+    STATUS_EVERY,
     STILL,
     SYN,
     SYN_DROPPED,
@@ -38,6 +40,7 @@ from tiger.cli.teleop import (
     GamepadDevice,
     Keyboard,
     Keys,
+    Lines,
     Teleop,
     operate,
 )
@@ -180,18 +183,23 @@ def test_no_bytes_break_the_gamepad_and_their_cutting_does_not_matter(chunks: li
 # -------------------------------------------------------------------------------------- the program
 
 
+def nobody(_: str) -> None:
+    """Nobody listens."""
+
+
 class FakeRobot:
     """Answers like a daemon in some state."""
 
     def __init__(self, state: str = "ARMED") -> None:
         self.state = state
+        self.problems: list[dict[str, str]] = []
         self.asked: list[tuple[str, dict[str, float]]] = []
 
     def ask(self, do: str, **fields: float) -> dict[str, Any]:
         self.asked.append((do, fields))
         if do == "drive" and self.state != "ARMED":
             raise Refused("no")
-        status = {"state": self.state, "reason": "", "record": {"problems": []}}
+        status = {"state": self.state, "reason": "", "record": {"problems": self.problems}}
         limits = {"speed_mps": (-3.0, 3.0), "yaw_rate_radps": (-1.5, 1.5)}
         return {"text": "", "status": status, "limits": limits}
 
@@ -199,7 +207,7 @@ class FakeRobot:
 @pytest.mark.parametrize("level", range(1, LEVELS + 1))
 def test_each_level_is_a_fifth_of_what_the_config_allows(level: int) -> None:
     robot = FakeRobot()
-    Teleop(robot, lambda _: None).step((1.0, -0.5), level)  # type: ignore[arg-type]
+    Teleop(robot, nobody, nobody).step((1.0, -0.5), level)  # type: ignore[arg-type]
     assert robot.asked[-1][0] == "drive"
     assert robot.asked[-1][1]["speed_mps"] == pytest.approx(0.6 * level)
     assert robot.asked[-1][1]["yaw_rate_radps"] == pytest.approx(-0.15 * level)
@@ -208,18 +216,44 @@ def test_each_level_is_a_fifth_of_what_the_config_allows(level: int) -> None:
 @pytest.mark.parametrize("state", ["DISARMED", "FAULT", "ESTOP", "HANDSHAKE"])
 def test_it_tells_a_robot_that_is_not_armed_nothing(state: str) -> None:
     robot = FakeRobot(state)
-    teleop = Teleop(robot, lambda _: None)  # type: ignore[arg-type]
+    teleop = Teleop(robot, nobody, nobody)  # type: ignore[arg-type]
     for _ in range(10):
         teleop.step((1.0, 0.0), 5)
     assert {do for do, _ in robot.asked} == {"status"}
 
 
-def test_it_says_what_it_does_once() -> None:
+def test_it_says_and_shows_what_it_does_once() -> None:
     said: list[str] = []
-    teleop = Teleop(FakeRobot(), said.append)  # type: ignore[arg-type]
+    shown: list[str] = []
+    teleop = Teleop(FakeRobot(), said.append, shown.append)  # type: ignore[arg-type]
     for motion in [(1.0, 0.0)] * 5 + [STILL] * 5:
         teleop.step(motion, 1)
-    assert said == ["ARMED: ", "level 1: +0.60 m/s, +0 degrees/s", "level 1: +0.00 m/s, +0 degrees/s"]
+    assert said == ["ARMED: "]
+    assert shown == ["level 1: +0.60 m/s, +0 degrees/s", "level 1: +0.00 m/s, +0 degrees/s"]
+
+
+def test_a_new_problem_does_not_repeat_the_state() -> None:
+    said: list[str] = []
+    robot = FakeRobot("FAULT")
+    teleop = Teleop(robot, said.append, nobody)  # type: ignore[arg-type]
+    for robot.problems in ([], [{"where": "nano_imu", "text": "is gone"}], []):
+        for _ in range(STATUS_EVERY):
+            teleop.step(STILL, 1)
+    assert said == ["FAULT: ", "nano_imu: is gone"]
+
+
+def test_the_motion_is_written_over_on_a_terminal_and_a_line_each_elsewhere(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for terminal, text in ((True, f"1{CLEAR_LINE}2{CLEAR_LINE}stop\n3\n"), (False, "1\n2\nstop\n3\n")):
+        monkeypatch.setattr("sys.stdout.isatty", lambda terminal=terminal: terminal)
+        lines = Lines()
+        lines.show("1")
+        lines.show("2")
+        lines.say("stop")
+        lines.show("3")
+        lines.end()
+        assert capsys.readouterr().out == text
 
 
 class FakeDevice:
@@ -246,7 +280,7 @@ def test_a_lost_gamepad_stops_the_robot(tmp_path: Path) -> None:
         device.do(HOLD + FORWARD)
         device.vanish()
         with pytest.raises(OSError, match="gone"):
-            operate(pad, Teleop(robot, lambda _: None))  # type: ignore[arg-type]
+            operate(pad, Teleop(robot, nobody, nobody))  # type: ignore[arg-type]
     assert robot.asked[-1][0] == "release"
 
 
@@ -265,7 +299,7 @@ def test_a_gamepad_that_the_kernel_takes_away_stops_the_robot(
 
         monkeypatch.setattr(os, "read", gone)
         with pytest.raises(OSError, match="No such device"):
-            operate(pad, Teleop(robot, lambda _: None))  # type: ignore[arg-type]
+            operate(pad, Teleop(robot, nobody, nobody))  # type: ignore[arg-type]
     assert robot.asked[-1][0] == "release"
     device.vanish()
 
@@ -301,7 +335,7 @@ def test_a_person_with_a_gamepad_arms_drives_and_lets_go_and_the_gamepad_vanishe
     with Robot() as robot, pad:
         person.start()
         with pytest.raises(OSError, match="gone"):
-            operate(pad, Teleop(robot, lambda _: None))
+            operate(pad, Teleop(robot, nobody, nobody))
         person.join()
     assert speeds == pytest.approx({"stick alone": 0.0, "held": 1.2, "let go": 0.0, "held at level 3": 1.8})
     _until(lambda: running.api.desk.helm is None)
@@ -340,7 +374,7 @@ def test_a_person_at_a_terminal_arms_drives_and_lets_go(running: Any) -> None:
     keyboard.path = os.ttyname(theirs)
     with Robot() as robot, keyboard:
         person.start()
-        operate(keyboard, Teleop(robot, lambda _: None))
+        operate(keyboard, Teleop(robot, nobody, nobody))
         person.join()
     for descriptor in (ours, theirs):
         os.close(descriptor)
