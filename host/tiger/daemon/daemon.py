@@ -330,9 +330,8 @@ class Daemon:
 
     def _device_faults(self) -> list[Problem]:
         faults: list[Problem] = []
-        for role in self.boards.needed:
-            session = self.boards.session(role)
-            if session is not None and session.health is not None and session.health.faults:
+        for session in self.boards.crew:
+            if session.health is not None and session.health.faults:
                 faults += limits.board_faults(session)
         for drive in self.drives:
             faults += limits.drive_faults(drive.driver)

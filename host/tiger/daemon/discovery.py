@@ -86,6 +86,10 @@ class Boards:
         self.needed = needed
         self.roles: dict[Role, tuple[BoardPort, Session]] = {}
         self.duplicates: dict[Role, list[str]] = {}
+        self.crew: tuple[Session, ...] = ()
+        """Of the boards that the robot needs, those that are there and usable ..."""
+        self.complete = False
+        """... and whether that is each of them, once."""
         self._provider = ports
         self._config = config
         self._nonce = nonce
@@ -124,6 +128,8 @@ class Boards:
             for role, places in found.items()
             if len(places) > 1
         }
+        self.crew = tuple(self.roles[role][1] for role in self.needed if role in self.roles)
+        self.complete = not self.duplicates and len(self.crew) == len(self.needed)
 
     def receive(self, now_s: float) -> Iterator[Event]:
         """Read every port; yields what arrived."""
@@ -153,11 +159,6 @@ class Boards:
         """The link to the board in a role."""
         place = self.roles.get(role)
         return place[0].link if place else None
-
-    @property
-    def complete(self) -> bool:
-        """Whether every board that the robot needs is there, once, and usable."""
-        return not self.duplicates and all(role in self.roles for role in self.needed)
 
     def problems(self, now_s: float) -> list[Problem]:
         """Everything that is wrong with boards and their ports; nothing while all needed ones work."""
