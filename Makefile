@@ -80,7 +80,8 @@ test-host: check ## Check and run every test that needs no AVR toolchain
 .PHONY: proof
 proof: setup system-avr ## Run what is too long for `make test`; figures go to docs/proof.md
 	@$(MAKE) --no-print-directory firmware
-	$(PYTEST) -m proof --timeout 5400 --proof-page docs/proof.md
+	$(PYTEST) -n $(JOBS) --dist load -m "proof and not realtime" --timeout 7200 --proof-page docs/proof.md
+	$(PYTEST) -m "proof and realtime" --timeout 7200 --proof-page docs/proof.md
 
 .PHONY: bench
 bench: setup ## Measure speed against named peers in the same run

@@ -582,6 +582,7 @@ def test_interpreted_source_moves_as_the_compiled_one_does() -> None:
 
 
 @pytest.mark.proof
+@pytest.mark.realtime
 def test_one_core_makes_a_hundred_thousand_steps_a_second(
     record_figure: Callable[[str, object, str], None],
 ) -> None:
