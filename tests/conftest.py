@@ -11,7 +11,7 @@ import datetime
 import platform
 import subprocess
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 
@@ -52,11 +52,8 @@ class ProofPage:
         """Take the figures of a test that has run, here or in another process."""
         if report.when == "call" or (report.when == "setup" and report.failed):
             file, _, test = report.nodeid.partition("::")
-            found = [value for key, value in report.user_properties if key == "figure"]
-            rows = [
-                Row(test, what, figure, bar, report.outcome, self._last_run)
-                for what, figure, bar in found or [("-", "", "")]
-            ]
+            found: list[Any] = [value for key, value in report.user_properties if key == "figure"]
+            rows = [Row(test, *cells, report.outcome, self._last_run) for cells in found or [("-", "", "")]]
             tables = read_tables(self._path)
             others = [row for row in tables.get(file, []) if row.test != test]
             at = next((i for i, row in enumerate(tables.get(file, [])) if row.test == test), len(others))
