@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import sys
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,6 +16,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from tiger.logs.reader import Log
+
+
+JsonFile = Annotated[
+    Path | None,
+    typer.Option("--json", metavar="FILE", help="Write the figures to this file, - to the screen."),
+]
 
 
 def refuse_unwritable(file: Path | None) -> None:
@@ -32,6 +39,19 @@ def refuse_unwritable(file: Path | None) -> None:
     if why is not None:
         typer.echo(f"{file}: cannot be written ({why}); choose another place", err=True)
         raise typer.Exit(2)
+
+
+def write_json(file: Path, data: Any, indent: int | None = 1) -> None:
+    """Write figures to a file, `-`: to standard output; end the program if that cannot be done."""
+    text = json.dumps(data, indent=indent)
+    if str(file) == "-":
+        typer.echo(text)
+        return
+    try:
+        file.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        typer.echo(f"{file}: cannot be written ({error.strerror}); choose another place", err=True)
+        raise typer.Exit(2) from None
 
 
 def make_folder(folder: Path) -> None:

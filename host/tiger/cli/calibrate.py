@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tiger.cli.answers import make_folder, refuse_unwritable, scenario_names
+from tiger.cli.answers import JsonFile, make_folder, refuse_unwritable, scenario_names, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -42,7 +41,6 @@ Emulate = Annotated[
 ]
 Seed = Annotated[int, typer.Option(metavar="NUMBER", min=0, help="Of the emulated robot's noise.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Store the result without asking.")]
-Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the result here.")]
 
 
 @app.command()
@@ -51,7 +49,7 @@ def imu(
     emulate: Emulate = None,
     seed: Seed = 0,
     yes: Yes = False,
-    json_file: Json = None,
+    json_file: JsonFile = None,
     seconds: Annotated[
         float, typer.Option(metavar="SECONDS", min=2.0, max=600.0, help="Length of the rest.")
     ] = 10.0,
@@ -68,7 +66,7 @@ def accel(
     emulate: Emulate = None,
     seed: Seed = 0,
     yes: Yes = False,
-    json_file: Json = None,
+    json_file: JsonFile = None,
 ) -> None:
     """Offset and scale of the accelerometer."""
     from tiger.calibration.accel import accel_procedure
@@ -82,7 +80,7 @@ def level(
     emulate: Emulate = None,
     seed: Seed = 0,
     yes: Yes = False,
-    json_file: Json = None,
+    json_file: JsonFile = None,
     turn: Annotated[
         bool, typer.Option("--turn", help="Measure twice, turned round, so that the ground may slope.")
     ] = False,
@@ -105,7 +103,7 @@ def strokes(
     emulate: Emulate = None,
     seed: Seed = 0,
     yes: Yes = False,
-    json_file: Json = None,
+    json_file: JsonFile = None,
     positions: Annotated[
         int, typer.Option(metavar="NUMBER", min=2, max=20, help="How many strokes are measured.")
     ] = 5,
@@ -137,7 +135,7 @@ def wheels(
     config: Config = None,
     emulate: Emulate = None,
     seed: Seed = 0,
-    json_file: Json = None,
+    json_file: JsonFile = None,
     distance: Annotated[
         float, typer.Option(metavar="METRES", min=0.5, max=100.0, help="How far to drive ahead.")
     ] = 5.0,
@@ -307,7 +305,7 @@ def _report(name: str, result: Result, wishes: _Wishes) -> None:
         typer.echo(f"note: {note}")
     if wishes.json_file is not None:
         report = {"calibration": name, "emulated": wishes.emulate, **asdict(result)}
-        _write(wishes.json_file, json.dumps(report, indent=1) + "\n")
+        write_json(wishes.json_file, report)
 
 
 def _write(file: Path, text: str) -> None:

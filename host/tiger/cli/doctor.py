@@ -8,7 +8,7 @@ import platform
 import shutil
 import sys
 import textwrap
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import Enum
 from importlib import metadata
 from importlib.util import find_spec
@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from tiger.cli.answers import JsonFile, refuse_unwritable, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -47,8 +49,9 @@ class Finding:
 
 def doctor(
     config: Annotated[
-        Path | None, typer.Option("--config", help="robot.toml whose ports are looked at.")
+        Path | None, typer.Option("--config", metavar="FILE", help="robot.toml whose ports are looked at.")
     ] = None,
+    json_file: JsonFile = None,
 ) -> None:
     """Look at ports, permissions, compiled extensions and scheduling; exit 1 when something is bad."""
     from tiger.config.errors import ConfigError
@@ -59,13 +62,15 @@ def doctor(
     except ConfigError as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(2) from None
-    bad = False
-    for finding in (*_software(), *_ports(robot), *_latency_timers(SYS), *_disturbers(PROC), *_scheduling()):
-        bad = bad or finding.grade is Grade.BAD
+    refuse_unwritable(json_file)
+    findings = [*_software(), *_ports(robot), *_latency_timers(SYS), *_disturbers(PROC), *_scheduling()]
+    for finding in findings if str(json_file) != "-" else ():
         _show(f"{finding.grade.value:>5}  ", finding.what)
         if finding.next_step:
             _show(" " * INDENT, finding.next_step)
-    raise typer.Exit(1 if bad else 0)
+    if json_file is not None:
+        write_json(json_file, [asdict(finding) | {"grade": finding.grade.value} for finding in findings])
+    raise typer.Exit(1 if any(finding.grade is Grade.BAD for finding in findings) else 0)
 
 
 def _show(start: str, text: str) -> None:

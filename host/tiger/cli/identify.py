@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from tiger.cli.answers import reading
+from tiger.cli.answers import JsonFile, reading, refuse_unwritable, write_json
 
 if TYPE_CHECKING:
     from tiger.calibration.identify import Identification
@@ -16,11 +15,10 @@ if TYPE_CHECKING:
 
 def identify(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="A log file, or a folder: its newest log.")],
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write the figures to this file, - to the screen.")
-    ] = None,
+    json_file: JsonFile = None,
     plots: Annotated[
-        Path | None, typer.Option("--plots", help="Write the responses as a picture into this folder.")
+        Path | None,
+        typer.Option("--plots", metavar="FOLDER", help="Write the responses as a picture into this folder."),
     ] = None,
 ) -> None:
     """Identify how roll and pitch answer the strokes, below about 1 Hz, and say what was not excited."""
@@ -30,6 +28,7 @@ def identify(
     from tiger.logs.reader import open_log
     from tiger.models.eam import MechanismError
 
+    refuse_unwritable(json_file)
     try:
         opened = open_log(log)
         with reading(opened, "reading"):
@@ -42,13 +41,9 @@ def identify(
     to_screen = str(json_file) == "-"
     if not to_screen:
         _show(found)
+    if json_file is not None:
+        write_json(json_file, found.as_json())
     try:
-        if json_file is not None:
-            text = json.dumps(found.as_json(), indent=1, allow_nan=False)
-            if to_screen:
-                typer.echo(text)
-            else:
-                json_file.write_text(text + "\n", encoding="utf-8")
         if plots is not None:
             typer.echo(f"plot: {plot(found, plots)}", err=to_screen)
     except OSError as error:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import datetime
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from tiger.cli.answers import make_folder, reading, starting
+from tiger.cli.answers import JsonFile, make_folder, reading, refuse_unwritable, starting, write_json
 
 if TYPE_CHECKING:
     from tiger.logs.replay import Replayed
@@ -31,25 +30,11 @@ export = typer.Typer(
 app.add_typer(export, name="export")
 
 LogPath = Annotated[Path, typer.Argument(metavar="LOG", help="A log file, or a folder: its newest log.")]
-JsonFile = Annotated[
-    Path | None, typer.Option("--json", help="Write the figures to this file, - to the screen.")
-]
 
 
 def _fail(message: object) -> NoReturn:
     typer.echo(str(message), err=True)
     raise typer.Exit(2)
-
-
-def _write_json(file: Path, data: dict[str, Any]) -> None:
-    text = json.dumps(data, indent=1, allow_nan=True)
-    if str(file) == "-":
-        typer.echo(text)
-        return
-    try:
-        file.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        _fail(f"{file}: cannot be written ({error.strerror}); choose another place")
 
 
 @app.command()
@@ -66,6 +51,7 @@ def info(
     from tiger.logs.reader import open_log
     from tiger.logs.summary import summarise
 
+    refuse_unwritable(json_file)
     try:
         opened = open_log(log)
         with reading(opened, "reading"):
@@ -77,7 +63,7 @@ def info(
     except LogError as error:
         _fail(error)
     if json_file is not None:
-        _write_json(json_file, summary.as_json() | ({"findings": findings} if check else {}))
+        write_json(json_file, summary.as_json() | ({"findings": findings} if check else {}))
     if str(json_file) != "-":
         _show(summary)
         if check:
@@ -136,7 +122,7 @@ def _show(summary: Summary) -> None:
 @app.command()
 def plot(
     log: LogPath,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the pictures.")] = Path(),
+    out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Folder for the pictures.")] = Path(),
 ) -> None:
     """Draw attitude, strokes, wheels and links as PNG."""
     from tiger.logs.errors import LogError
@@ -161,9 +147,11 @@ def plot(
 @export.command("csv")
 def export_csv(
     log: LogPath,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the files, one for each topic.")] = Path(),
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Folder for the files, one for each topic.")
+    ] = Path(),
     topic: Annotated[
-        list[str] | None, typer.Option("--topic", help="Only this topic; may be repeated.")
+        list[str] | None, typer.Option("--topic", metavar="TOPIC", help="Only this topic; may be repeated.")
     ] = None,
 ) -> None:
     """Write each topic as CSV: times in ns since 1970, then every field."""
@@ -190,7 +178,9 @@ def export_csv(
 @export.command("wire")
 def export_wire(
     log: LogPath,
-    out: Annotated[Path, typer.Option("--out", help="Folder for the files, two for each line.")] = Path(),
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Folder for the files, two for each line.")
+    ] = Path(),
 ) -> None:
     """Write the bytes of each line, as `tiger protocol capture` reads them."""
     from tiger.logs.errors import LogError
@@ -248,7 +238,10 @@ def _readable(frame: WireFrame) -> str:
 def replay(
     log: LogPath,
     config: Annotated[
-        Path | None, typer.Option("--config", help="robot.toml to replay with instead of the one in the log.")
+        Path | None,
+        typer.Option(
+            "--config", metavar="FILE", help="robot.toml to replay with instead of the one in the log."
+        ),
     ] = None,
     json_file: JsonFile = None,
 ) -> None:
@@ -259,6 +252,7 @@ def replay(
     from tiger.logs.reader import open_log
     from tiger.logs.replay import replay as step_again
 
+    refuse_unwritable(json_file)
     try:
         opened = open_log(log)
         robot = None if config is None else load_robot(config)
@@ -267,7 +261,7 @@ def replay(
     except (LogError, ConfigError) as error:
         _fail(error)
     if json_file is not None:
-        _write_json(json_file, _replay_json(found, opened.damage))
+        write_json(json_file, _replay_json(found, opened.damage))
     if str(json_file) != "-":
         _show_replay(found, opened.damage)
     if not found.exact:

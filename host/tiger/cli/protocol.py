@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tiger.cli.answers import JsonFile, refuse_unwritable, write_json
 from tiger.protocol.frame import FrameDecoder
 from tiger.protocol.messages import (
     FAULT_INFO,
@@ -103,7 +104,9 @@ def _flag_names(bits: int, flags: type[IntEnum]) -> list[str]:
 
 @app.command()
 def frame(
-    text: Annotated[list[str], typer.Argument(help="The frame's bytes in hexadecimal, spaces allowed.")],
+    text: Annotated[
+        list[str], typer.Argument(metavar="HEX", help="The frame's bytes in hexadecimal, spaces allowed.")
+    ],
 ) -> None:
     """Decode the frames in a line of hexadecimal bytes."""
     digits = "".join(text).replace("0x", "").replace(",", "")
@@ -127,10 +130,15 @@ def frame(
 
 @app.command()
 def capture(
-    file: Annotated[Path, typer.Argument(help="Bytes as they came over the line; - reads standard input.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Bytes as they came over the line; - reads standard input.")
+    ],
     summary: Annotated[bool, typer.Option("--summary", help="Only count the messages.")] = False,
+    json_file: JsonFile = None,
 ) -> None:
     """Decode a file of raw bytes, frame by frame."""
+    refuse_unwritable(json_file)
+    summary = summary or str(json_file) == "-"
     decoder = FrameDecoder(EVERY_MESSAGE)
     counts: dict[str, int] = {}
     try:
@@ -143,6 +151,11 @@ def capture(
     except OSError as error:
         typer.echo(f"{file}: cannot be read ({error.strerror}); check the path", err=True)
         raise typer.Exit(2) from None
+    if json_file is not None:
+        refused = {cause.name: count for cause, count in zip(RejectCause, decoder.rejects, strict=True)}
+        write_json(json_file, {"messages": counts, "refused": refused})
+    if str(json_file) == "-":
+        return
     for name, count in sorted(counts.items(), key=lambda item: -item[1]):
         typer.echo(f"{count:8} {name}", err=not summary)
     typer.echo(f"{sum(decoder.rejects):8} refused ({_refusals(decoder) or 'none'})", err=not summary)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import signal
 import sys
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from tiger.cli.answers import refuse_unwritable, scenario_names, starting
+from tiger.cli.answers import refuse_unwritable, scenario_names, starting, write_json
 from tiger.record import Command, DaemonState, Record
 
 if TYPE_CHECKING:
@@ -248,7 +247,7 @@ def run(
     if json_file is not None:
         report = {"summary": journal.summary(lateness), "series": journal.series}
         report["summary"] |= {"scenario": emulate, "seed": seed if emulate else None}
-        _write_json(json_file, report)
+        write_json(json_file, report, indent=None)
     line, good = journal.last_line(wishes.arm, lateness)
     typer.echo(line, err=to_screen)
     if not good:
@@ -271,16 +270,6 @@ def _check(wishes: Wishes, robot: RobotConfig, json_file: Path | None) -> None:
 def _fail(message: str) -> NoReturn:
     typer.echo(message, err=True)
     raise typer.Exit(2)
-
-
-def _write_json(file: Path, report: dict[str, Any]) -> None:
-    if str(file) == "-":
-        typer.echo(json.dumps(report))
-        return
-    try:
-        file.write_text(json.dumps(report), encoding="utf-8")
-    except OSError as error:
-        _fail(f"{file}: cannot be written ({error.strerror}); choose another place")
 
 
 class _Driver:

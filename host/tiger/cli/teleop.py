@@ -364,14 +364,20 @@ def operate(hands: Hands, teleop: Teleop) -> None:
 def teleop(
     gamepad: Annotated[
         str | None,
-        typer.Option("--gamepad", help="Its device /dev/input/event*, or auto; default: the keyboard."),
+        typer.Option(
+            "--gamepad",
+            metavar="DEVICE",
+            help="Its device /dev/input/event*, or auto; default: the keyboard.",
+        ),
     ] = None,
-    level: Annotated[int, typer.Option("--level", min=1, max=LEVELS, help="Speed level to begin with.")] = 1,
+    level: Annotated[
+        int, typer.Option("--level", metavar="NUMBER", min=1, max=LEVELS, help="Speed level to begin with.")
+    ] = 1,
     deadman: Annotated[
-        str, typer.Option("--deadman", help=f"The button to hold: {', '.join(BUTTONS)}.")
+        str, typer.Option("--deadman", metavar="BUTTON", help=f"The button to hold: {', '.join(BUTTONS)}.")
     ] = "left-shoulder",
     yaw_axis: Annotated[
-        str, typer.Option("--yaw-axis", help=f"The stick that steers: {', '.join(AXES)}.")
+        str, typer.Option("--yaw-axis", metavar="AXIS", help=f"The stick that steers: {', '.join(AXES)}.")
     ] = "rx",
 ) -> None:
     """Drive by hand: the robot moves while a key, or the gamepad's dead-man button, is held."""

@@ -81,7 +81,7 @@ def completed(line: str) -> list[str]:
     [
         ("tiger ca", ["calibrate"]),
         ("tiger run --em", ["--emulate"]),
-        ("tiger run --emulate s", ["shaking-plate", "side-slope"]),
+        ("tiger run --emulate s", ["shaking-plate", "side-slope", "smooth-floor"]),
         ("tiger ctl mode ", ["hold", "level", "balance", "pose", "stow"]),
         ("tiger study tip", ["tip-over"]),
         ("tiger log export c", ["csv"]),
@@ -357,3 +357,19 @@ def test_pure_python_codecs_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_port_that_is_a_file_is_no_port(tmp_path: Path) -> None:
     (tmp_path / "x").touch()
     assert "is no serial device" in doctor._port(str(tmp_path / "x"), "a board").what
+
+
+def test_the_doctor_writes_what_it_found_as_json(monkeypatch: pytest.MonkeyPatch) -> None:
+    findings = json.loads(tiger("doctor", "--json", "-", monkeypatch=monkeypatch).output)
+    assert {finding["grade"] for finding in findings} <= {"ok", "note", "BAD"}
+    assert all(finding["next_step"] for finding in findings if finding["grade"] == "BAD")
+
+
+def test_a_capture_is_counted_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "line.bin"
+    file.write_bytes(b"\0" + encode_message(HEALTH, 1) + b"garbage\0")
+    report = json.loads(
+        tiger("protocol", "capture", str(file), "--json", "-", monkeypatch=monkeypatch).output
+    )
+    assert report["messages"] == {"health": 1}
+    assert sum(report["refused"].values()) == 1
