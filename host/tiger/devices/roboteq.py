@@ -8,12 +8,16 @@ Manual v1.8.)
 The trap this driver must defuse: when the controller's watchdog has stopped the motors, the next valid
 command makes BOTH run on at the speed they had. So the first command after any gap is `!M 0 0`, a zero for
 both motors in one line that arrives whole or not at all, and no other speed is sent until zeros are confirmed
-and `release` was called again.
+and `release` was called again. Until the watchdog was read back, the motors hear nothing but these zeros.
 
 The line has no checksum. So every query is asked three times in one write and a reading is what two answers
 agree on; a speed that jumps waits for the next reading to confirm it. A command is confirmed by its echo and
 by the speeds that the controller reads back (`?CIS`). One that became another is answered by `!M 0 0` at
 once, a second one within a second by a fault that holds the motors until `clear` and `release`.
+
+A stop can be damaged too: one that stops nothing still feeds the watchdog. So commands that stay unconfirmed
+are repeated for `PATIENCE_S` only. From then on the driver merely asks, which feeds nothing, until it knows
+again what stands, or until the watchdog has stopped the motors: silence cannot be damaged.
 """
 
 from __future__ import annotations
@@ -23,14 +27,19 @@ import re
 from collections import deque
 from enum import Enum, IntFlag
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 from tiger.frozen import dataclass
 from tiger.record import DriveSample, Problem, ProblemKind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 BAUD = 115_200
 DEADLINE_S = 0.020  # of one exchange
 LINE_LIMIT = 64
 ASKED = 3  # times that each query is asked in one write
+PATIENCE_S = 0.030  # of commands not confirmed: one deadline and one repeat, at ticks of 5 ms
 NO_ANSWER_AFTER_S = 1.0
 RETRY_S = 0.1  # pause between attempts to configure
 RPM_LIMIT = 65_000  # of !S
@@ -40,7 +49,8 @@ SPEED_JUMP_RPM = 60  # a speed that jumps further between two readings is believ
 CHANGED_AGAIN_S = 1.0  # two commands changed on the way within this time: stop for good
 STOP_BOTH = "!M 0 0"
 READ_BACK = "?CIS"
-STALE_LINES = 12  # of abandoned exchanges, remembered for as long as their answers may come
+WATCHDOG = "~RWD"
+STALE_LINES = 24  # of abandoned exchanges, remembered for as long as their answers may come
 RESYNC = "?\r"  # makes of half a line in the controller's buffer one that it refuses
 
 
@@ -278,6 +288,7 @@ class Roboteq:
         self.watchdog_ms = watchdog_ms
         self.period_s = 1.0 / rate_hz
         self.gap_s = GAP_SHARE * watchdog_ms * 1e-3
+        self.silence_s = DEADLINE_S + watchdog_ms * 1e-3  # without a command: then the motors stand still
         self.exchanges = 0  # completed
         self.timeouts = 0
         self.wrong_echoes = 0
@@ -291,6 +302,7 @@ class Roboteq:
         self._mean_square_a2 = (0.0, 0.0)  # outlives a lost connection, as the motors' heat does
         self._current_s = -math.inf  # when the currents were read last
         self._emergency = False  # asked for and not taken back; outlives a lost connection
+        self._said_s = -math.inf  # when a command was sent last, whatever became of it
         self.connected(-math.inf)
 
     def connected(self, now_s: float) -> None:
@@ -305,9 +317,11 @@ class Roboteq:
         self._stale_until_s = -math.inf
         self._partial = b""
         self._step = 0
-        self._retry_s = now_s
+        self._retry_s = max(now_s, self._said_s + self.silence_s)
         self._wanted_rpm = (0, 0)
         self._sent_rpm = (0, 0)
+        self._meant_rpm = [(0, 0)]  # what may stand: the speeds confirmed last, and those sent since
+        self._unsure_s = math.inf  # when the first command was sent of those not confirmed
         self._full_scale_rpm = (RPM_LIMIT, RPM_LIMIT)
         self._confirmed_s = -math.inf
         self._heard_s = -math.inf
@@ -327,6 +341,15 @@ class Roboteq:
         """Whether `release` would be obeyed: configured, zeros confirmed, speeds and flags known."""
         known = self.sample is not None and self.problem is None and self.fault is None
         return self.phase is Phase.HOLDING and known
+
+    @property
+    def wrong_speed_s(self) -> float:
+        """How long a motor may run at a speed that nobody meant, on a line that delivers within a deadline.
+
+        From the first command that may have arrived as another one, `PATIENCE_S` until the last that may feed
+        the watchdog is sent, a deadline until it arrives, and the watchdog's time.
+        """
+        return PATIENCE_S + self.silence_s
 
     @property
     def answering(self) -> bool:
@@ -355,8 +378,9 @@ class Roboteq:
             self._wanted_rpm = (_whole_rpm(front_rpm, front_most), _whole_rpm(rear_rpm, rear_most))
 
     def emergency_stop(self) -> None:
-        """Switch the power stage off (`!EX`) until `clear_stop`."""
+        """Switch the power stage off (`!EX`) until `clear`."""
         self._emergency = self._stop = True
+        self._step = 0
         self._go = False
         self._wanted_rpm = (0, 0)
         self._abandon()
@@ -368,6 +392,9 @@ class Roboteq:
         """
         self.fault = None
         self._changed_s = -math.inf
+        if self._emergency:
+            self._abandon()
+            self._step = 0  # the lines that configure are other ones
         self._emergency = self._stop = False
         self._go = True
         if self.phase is Phase.STOPPED:
@@ -408,6 +435,7 @@ class Roboteq:
             self._configured(first, exchange, now_s)
         elif first == "!EX":
             self.phase, self._stop = Phase.STOPPED, False
+            self._unsure_s = math.inf  # whatever stands: without power nothing turns
         elif first == "!MG":
             self._go = False
         elif first[:2] in ("!M", "!S") and not self._as_sent(exchange):
@@ -415,13 +443,14 @@ class Roboteq:
             self._motor_due_s = now_s
         elif first == STOP_BOTH:
             self._quench = False
-            self._confirmed_s = exchange.sent_s
+            self._confirmed((0, 0), exchange.sent_s)
             self._motor_due_s = now_s
         elif first.startswith("!S"):
-            # The moment of sending, as the controller's watchdog may run from then on.
-            self._confirmed_s = exchange.sent_s
+            self._confirmed(self._sent_rpm, exchange.sent_s)
             if self.phase is Phase.ZEROING and self._sent_rpm == (0, 0):
                 self.phase = Phase.HOLDING
+        elif first == READ_BACK:
+            self._stands(exchange.answers[:ASKED], exchange.answers[ASKED:], now_s)
         else:
             self._answered(first[1:], exchange.answers, now_s)
 
@@ -430,10 +459,30 @@ class Roboteq:
         if not self._read_back:
             return True
         speeds = (0, 0) if exchange.lines[0] == STOP_BOTH else self._sent_rpm
-        return all(
-            abs(FULL_SCALE * rpm - given * most) < most
-            for rpm, given, most in zip(speeds, exchange.answers[0], self._full_scale_rpm, strict=True)
-        )
+        return all(self._is_given(speeds, exchange.answers[0]))
+
+    def _is_given(self, speeds: tuple[int, int], given: tuple[int, ...]) -> Iterator[bool]:
+        """Of each motor: does what ?CIS answered mean this speed?"""
+        for rpm, thousandths, most_rpm in zip(speeds, given, self._full_scale_rpm, strict=True):
+            yield abs(FULL_SCALE * rpm - thousandths * most_rpm) < most_rpm
+
+    def _confirmed(self, speeds: tuple[int, int], sent_s: float) -> None:
+        """These speeds stand; the controller's watchdog may run from the moment of sending on."""
+        self._confirmed_s = sent_s
+        self._unsure_s = math.inf
+        self._meant_rpm = [speeds]
+
+    def _stands(self, given: list[tuple[int, ...]], watchdog: list[tuple[int, ...]], now_s: float) -> None:
+        """Take what stands after commands that stayed unconfirmed: if it was meant, go on commanding."""
+        self._answered("RWD", watchdog, now_s)
+        speeds = _agreed("CIS", given)
+        if self.phase is Phase.CONFIGURING or speeds is None or _agreed("RWD", watchdog) is None:
+            return
+        meant = [self._is_given(pair, speeds) for pair in ((0, 0), *self._meant_rpm)]
+        if all(any(motor) for motor in zip(*meant, strict=True)):
+            self._unsure_s = math.inf
+            self._quench = False
+            self._motor_due_s = now_s
 
     def _changed(self, now_s: float) -> None:
         """A command may have arrived as another one: stop both motors now; if that repeats, for good."""
@@ -454,17 +503,21 @@ class Roboteq:
         )
 
     def _configured(self, line: str, exchange: _Exchange, now_s: float) -> None:
-        if line == STOP_BOTH and not self._as_sent(exchange):
-            return  # damaged: again, at once
+        if line == "!EX":
+            self._unsure_s = math.inf
+        elif line == STOP_BOTH:
+            if not self._as_sent(exchange):
+                self._try_again(now_s)
+                return
+            self._confirmed((0, 0), exchange.sent_s)
         if line.startswith("~") and len(set(exchange.answers)) > 1:
             self._retry_s = now_s + RETRY_S
             return
         if line == "~MXRPM":
             front_rpm, rear_rpm = exchange.answers[0]
             self._full_scale_rpm = (front_rpm, rear_rpm)
-        if line == "~RWD" and exchange.answers[0] != (self.watchdog_ms,):
-            self._step = 0
-            self._retry_s = now_s + RETRY_S
+        if line == WATCHDOG and exchange.answers[0] != (self.watchdog_ms,):
+            self._try_again(now_s)
             self.problem = Problem(
                 ProblemKind.REFUSED,
                 f"{self.name} on {self.port}",
@@ -482,7 +535,17 @@ class Roboteq:
     def _configuration(self) -> tuple[str, ...]:
         first = "!EX" if self._emergency else STOP_BOTH
         scale = ("~MXRPM",) if self._read_back else ()
-        return (first, "^ECHOF 0", f"^RWD {self.watchdog_ms}", "~RWD", *scale)
+        return (first, "^ECHOF 0", f"^RWD {self.watchdog_ms}", WATCHDOG, *scale)
+
+    def _try_again(self, now_s: float) -> None:
+        """Configure again; but the motors are stopped once, at once or after a silence."""
+        if self._step > 0:
+            # Not from the stop: the watchdog may just have been set to something else, on the way.
+            self._step = 1
+            self._retry_s = now_s + RETRY_S
+        elif self._is_unsure(now_s):
+            self._retry_s = self._said_s + self.silence_s
+            self._unsure_s = math.inf  # by then
 
     def _answered(self, name: str, answers: list[tuple[int, ...]], now_s: float) -> None:
         last = self.readings.get(name)
@@ -499,6 +562,7 @@ class Roboteq:
             self._warm(values, now_s)
         elif name == "RWD" and values[0] != self.watchdog_ms:
             self._begin_anew(now_s)
+            self._retry_s = now_s  # not after a silence, which the watchdog of delivery outlasts
         elif name == "S":
             plausible = last is not None and _near(values, last)
             if plausible and {"V", "FF"} <= self.readings.keys():
@@ -548,6 +612,9 @@ class Roboteq:
         configuring = self.phase is Phase.CONFIGURING
         if now_s > self._stale_until_s:
             self._stale.clear()
+        if lines[0].startswith("!"):
+            self._said_s = now_s
+            self._unsure_s = min(self._unsure_s, now_s)
         self._exchange = _Exchange(
             lines, now_s, frozenset(self._stale), echo_may_be_off=configuring and self._step < 2
         )
@@ -557,20 +624,29 @@ class Roboteq:
     def _next(self, now_s: float) -> list[str]:
         """The lines to send now."""
         if self.phase is Phase.CONFIGURING:
-            return self._configuring() if now_s >= self._retry_s else []
+            is_due = now_s >= self._retry_s or (self._emergency and self._step == 0)
+            return self._configuring() if is_due else []
         if self._stop:
             return ["!EX"]
         read_back = [READ_BACK] if self._read_back else []
-        if self._quench:
+        silent = self._read_back and self._is_unsure(now_s)
+        if self._quench and not silent:
             return [STOP_BOTH, *read_back]
         if now_s >= self._motor_due_s:
             self._plan_cycle(now_s)
+            if silent:
+                return [READ_BACK] * ASKED + [WATCHDOG] * ASKED
             self._sent_rpm = self._wanted_rpm
+            self._meant_rpm.append(self._sent_rpm)
             speeds = [f"!S {channel} {rpm}" for channel, rpm in enumerate(self._sent_rpm, start=1)]
             return speeds + read_back
-        if self._go and self.phase is Phase.HOLDING:
+        if self._go and self.phase is Phase.HOLDING and not silent:
             return ["!MG"]
         return [self._queries.popleft()] * ASKED if self._queries else []
+
+    def _is_unsure(self, now_s: float) -> bool:
+        """Whether commands have gone unconfirmed for so long that one more might do harm."""
+        return now_s - self._unsure_s > PATIENCE_S
 
     def _configuring(self) -> list[str]:
         line = self._configuration[self._step]
@@ -588,12 +664,11 @@ class Roboteq:
     def _failed(self, now_s: float) -> None:
         """An exchange failed: commands are repeated at once, everything else in its turn."""
         exchange = self._abandon()
-        if exchange is not None and exchange.lines[0].startswith("!S"):
+        if exchange is not None and exchange.lines[0].startswith(("!S", READ_BACK)):
             self._motor_due_s = now_s
         if self.phase is not Phase.CONFIGURING:
             return
-        self._step = 0
-        self._retry_s = now_s + RETRY_S
+        self._try_again(now_s)
         if self.problem is None and now_s - max(self._opened_s, self._heard_s) > NO_ANSWER_AFTER_S:
             self.problem = Problem(
                 ProblemKind.NO_ANSWER,

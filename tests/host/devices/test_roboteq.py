@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from dataclasses import dataclass, field
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiger.devices.roboteq import (
+    PATIENCE_S,
     SPEED_JUMP_RPM,
     FaultFlag,
     MotorFlag,
@@ -214,11 +216,18 @@ def test_a_zero_for_both_that_arrives_as_one_for_one_is_repeated_at_once(echo: b
     controller.run(1_000_000)
     controller.transmit()
     bench = Bench(controller)
-    hear, controller.receive = controller.receive, lambda data: None  # type: ignore[method-assign]
-    while not bench.sent:
+    hear = controller.receive
+
+    def damaged(data: bytes) -> None:
+        if b"!M 0 0" in data:
+            data = data.replace(b"!M 0 0", b"!M 0  ")
+            controller.receive = hear  # type: ignore[method-assign]
+        hear(data)
+
+    controller.receive = damaged  # type: ignore[method-assign]
+    while controller.watchdog_expired:
         bench.run(1)
-    controller.receive = hear  # type: ignore[method-assign]
-    controller.receive(bench.sent[0].replace(b"!M 0 0", b"!M 0  "))
+    assert bench.fastest_rpm <= 2.0  # of the ramp's first millisecond
     bench.run(12)
     assert not controller.watchdog_expired
     assert controller.motor_rpm == (0.0, 0.0)
@@ -364,6 +373,147 @@ def test_without_read_back_the_echo_alone_confirms() -> None:
     bench.run(500, command=(20.0, 20.0))
     assert bench.controller.motor_rpm == (20.0, 20.0)
     assert not any(b"CIS" in out for out in bench.sent)
+
+
+def _commands(bench: Bench) -> list[bytes]:
+    """What was sent of the lines that feed the watchdog."""
+    return [line for out in bench.sent for line in out.split(b"\r") if line.startswith(b"!")]
+
+
+def test_a_stop_that_nobody_confirms_is_repeated_for_a_moment_then_silence_lets_the_watchdog_do_it() -> None:
+    """One that is damaged itself might feed the watchdog again and again."""
+    bench = Bench().started()
+    bench.run(200, command=(10.0, 10.0))
+    _echo_another_speed(bench)
+    bench.controller.silent = True
+    bench.sent.clear()
+    bench.run(round(1e3 * PATIENCE_S))
+    assert set(_commands(bench)) == {b"!M 0 0"}
+    bench.sent.clear()
+    bench.run(WATCHDOG_MS, command=(10.0, 10.0))
+    assert not _commands(bench)
+    assert b"?CIS\r" * 3 + b"~RWD\r" * 3 in bench.sent
+    assert bench.controller.watchdog_expired
+
+
+def test_a_wrong_speed_that_nothing_mends_lasts_no_longer_than_the_bound() -> None:
+    """Every command for the front motor arrives as another one, every stop as one for the rear motor."""
+    bench = Bench().started()
+    bench.run(200, command=(10.0, 10.0))
+    hear = bench.controller.receive
+    bench.controller.receive = lambda data: hear(  # type: ignore[method-assign]
+        data.replace(b"!S 1 1", b"!S 1 9").replace(b"!M 0 0", b"!M   0")
+    )
+    bench.controller.silent = True  # and nobody tells
+    began_ms = bench.now_ms
+    while not bench.controller.watchdog_expired:
+        bench.run(1, command=(10.0, 10.0))
+    assert bench.fastest_rpm == 90.0
+    assert bench.now_ms - began_ms <= 1e3 * (bench.driver.period_s + bench.driver.wrong_speed_s)
+
+
+def test_a_stall_shorter_than_the_watchdog_passes() -> None:
+    bench = Bench().started()
+    bench.run(200, command=(10.0, 10.0))
+    for _ in range(5):
+        bench.controller.silent = True
+        bench.run(100, command=(10.0, 10.0))
+        bench.controller.silent = False
+        bench.run(100, command=(10.0, 10.0))
+    bench.run(100, command=(20.0, 20.0))
+    assert bench.phase() is Phase.RUNNING
+    assert bench.driver.gaps == bench.driver.changed_commands == 0
+    assert bench.controller.motor_rpm == (20.0, 20.0)
+
+
+def test_in_the_silence_no_command_follows_until_what_stands_was_meant() -> None:
+    bench = Bench().started()
+    bench.run(200, command=(10.0, 10.0))
+    _until_it_sends(bench, b"!S", command=(10.0, 10.0))
+    bench.cut = True
+    bench.run(60)
+    bench.cut = False
+    bench.driver._exchange = None
+    bench.controller.transmit()
+    bench.controller._command_rpm = [90.0, 10.0]
+    bench.sent.clear()
+    bench.run(30, command=(10.0, 10.0))
+    assert not _commands(bench)
+    bench.controller._command_rpm = [10.0, 10.0]
+    bench.run(20, command=(10.0, 10.0))
+    assert _commands(bench)[:2] == [b"!S 1 10", b"!S 2 10"]
+
+
+def test_power_lost_in_a_short_stall_is_noticed_before_the_next_command() -> None:
+    bench = Bench().started()
+    bench.run(200, command=(50.0, 50.0))
+    bench.cut = True
+    bench.run(60, command=(50.0, 50.0))
+    bench.controller.reboot()
+    bench.cut = False
+    bench.sent.clear()
+    while not _commands(bench):
+        bench.run(1, command=(50.0, 50.0))
+    assert _commands(bench) == [b"!M 0 0"]
+    bench.sent.clear()
+    while not _commands(bench):
+        bench.run(1, command=(50.0, 50.0))
+    assert bench.controller._settings["RWD"] == [WATCHDOG_MS]
+
+
+def test_after_the_first_zeros_no_command_is_sent_before_the_watchdog_was_read_back() -> None:
+    bench = Bench()
+    hear = bench.controller.receive
+    bench.controller.receive = lambda data: hear(  # type: ignore[method-assign]
+        data.replace(b"^RWD 150", b"^RWD 350")
+    )
+    bench.run(1000)
+    assert bench.controller._settings["RWD"] == [350]
+    assert _commands(bench) == [b"!M 0 0"]
+    bench.controller.receive = hear  # type: ignore[method-assign]
+    bench.run(600)
+    assert bench.driver.ready
+
+
+def test_after_a_failed_stop_and_a_silence_a_stop_is_repeated_at_once_again() -> None:
+    bench = Bench()
+    bench.controller.silent = True
+    times = []
+    while bench.now_ms < 800:
+        count = len(_commands(bench))
+        bench.run(1)
+        if len(_commands(bench)) > count:
+            times.append(bench.now_ms)
+    pauses = [b - a for a, b in itertools.pairwise(times)]
+    silence_ms = round(1e3 * bench.driver.silence_s)
+    assert pauses[:4] == pytest.approx([20, silence_ms, 20, silence_ms], abs=1)
+
+
+def test_an_emergency_stop_leaves_a_standing_speed_behind_that_disturbs_nothing() -> None:
+    bench = Bench().started()
+    bench.run(200, command=(50.0, 50.0))
+    bench.cut = True
+    bench.run(100)
+    bench.driver.emergency_stop()
+    bench.run(300)
+    bench.cut = False
+    bench.run(100)
+    assert bench.phase() is Phase.STOPPED
+    for _ in range(50):
+        bench.run(10)
+        assert bench.phase() is Phase.STOPPED
+
+
+def test_an_emergency_stop_waits_for_no_silence() -> None:
+    bench = Bench().started()
+    bench.run(200, command=(50.0, 50.0))
+    bench.controller.silent = True
+    while bench.phase() is not Phase.CONFIGURING:
+        bench.run(1)
+    bench.controller.silent = False
+    bench.driver.emergency_stop()
+    bench.run(5)
+    assert bench.controller.stage_off
 
 
 def test_changed_commands_that_are_far_apart_do_not_hold_the_motors() -> None:
