@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tiger.cli.answers import scenario_names
+from tiger.cli.answers import make_folder, scenario_names
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from tiger.emulation.robot import EmulatedRobot
 
 
@@ -69,7 +73,7 @@ def emulate(
         signal.signal(number, stop)
 
     where = default_folder() if folder is None else folder
-    with PtyRobot(robot, where) as served, console.status("") as status:
+    with _alone(where), PtyRobot(robot, where) as served, console.status("") as status:
         console.print(f"{robot.scenario.title}", markup=False)
         for link in LINKS.values():
             console.print(f"  {where / link}", markup=False)
@@ -83,6 +87,19 @@ def emulate(
         served.run(float("inf") if duration is None else duration, each_step)
     if served.skipped_s:
         console.print(f"This computer was too busy: {served.skipped_s:.2f} s were skipped.")
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Refuse a folder whose links belong to another emulated robot; the lock ends with the program."""
+    make_folder(folder)
+    with (folder / "lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            typer.echo(f"{folder}: another emulated robot is served there; name another --folder", err=True)
+            raise typer.Exit(2) from None
+        yield
 
 
 def _line(robot: EmulatedRobot) -> str:

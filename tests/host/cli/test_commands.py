@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import subprocess
@@ -373,3 +374,15 @@ def test_a_capture_is_counted_as_json(tmp_path: Path, monkeypatch: pytest.Monkey
     )
     assert report["messages"] == {"health": 1}
     assert sum(report["refused"].values()) == 1
+
+
+def test_a_folder_is_not_taken_from_another_emulated_robot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["emulate", "shaking-plate", "--folder", str(tmp_path), "--duration", "0.2"]
+    assert tiger(*words, monkeypatch=monkeypatch).exit_code == 0
+    with (tmp_path / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        refused = tiger(*words, monkeypatch=monkeypatch)
+    assert refused.exit_code == 2
+    assert "another emulated robot is served there" in refused.output
