@@ -64,6 +64,8 @@ class Page:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Draw it."""
         height = options.height  # None: as tall as it likes
+        if height is None and console.is_alt_screen:
+            height = console.height
         free = options.update(height=None)
         for brief in (False, True):
             lines = console.render_lines(self._picture(brief=brief), free)
@@ -103,7 +105,7 @@ def _body(record: Record) -> Table:
     estimate = record.outputs.estimate
     table = Table(box=None, padding=(0, 2))
     for heading in ("", "roll", "pitch", "roll rate", "pitch rate", "odometry"):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     degrees = [
         math.degrees(value)
         for value in (
@@ -135,7 +137,7 @@ def _corners(record: Record, overview: Overview, brief: bool) -> Table:
     inputs, outputs = record.inputs, record.outputs
     table = Table(box=None, padding=(0, 2))
     for heading in ("", *CORNERS):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     if inputs.strokes is not None:
         table.add_row("stroke mm", *(f"{value:.2f}" for value in inputs.strokes.stroke_mm))
     table.add_row("rate mm/s", *(f"{value:+.2f}" for value in outputs.stroke_rate_mmps))
@@ -190,7 +192,7 @@ def _links(links: tuple[LinkStatus, ...]) -> Table:
         refused = _short(link.rejects) + (f"+{_short(link.board_rejects)}" if link.board_rejects else "")
         table.add_row(
             link.name,
-            Text(link.state, style="" if link.connected else "red"),
+            Text(_state(link), style="" if link.connected else "red"),
             _short(link.rx_frames),
             refused,
             _short(link.seq_gaps),
@@ -198,6 +200,12 @@ def _links(links: tuple[LinkStatus, ...]) -> Table:
             f"{link.supply_v:.1f}" if link.supply_v else "",
         )
     return table
+
+
+def _state(link: LinkStatus) -> str:
+    """A board that only measures has nothing to arm: `disarmed` would look as if it were missing something."""
+    only_measures = link.name.startswith(("nano_imu", "mega_speed"))
+    return "running" if only_measures and link.state == "disarmed" else link.state
 
 
 def _short(count: int) -> str:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from tiger.cli.live import Page, _short
+from tiger.cli.live import Page, _short, whole_terminal
 from tiger.daemon.overview import Overview
 from tiger.record import (
     DaemonState,
@@ -105,6 +105,16 @@ def test_what_is_left_out_first_is_the_log_then_figures_and_advice_then_the_end(
     assert [line for line in lines(two, height=5) if line.startswith("! device")]
 
 
+def test_the_page_keeps_to_the_height_of_the_terminal_it_fills(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = io.StringIO()
+    console = Console(width=80, height=24, file=terminal, force_terminal=True, color_system=None)
+    monkeypatch.setattr("tiger.cli.live.Console", lambda: console)
+    crowded = replace(RECORD, problems=problems(4))
+    with whole_terminal() as live:
+        live.update(Page(crowded, OVERVIEW, ["one"], "TIGER", keys=True), refresh=True)
+    assert terminal.getvalue().count("roboteq (right)") == 1
+
+
 def test_a_screen_with_room_has_everything() -> None:
     assert lines(RECORD, height=60) == lines(RECORD)
 
@@ -114,7 +124,7 @@ def test_every_link_is_told_with_its_health() -> None:
     assert line.split() == [
         "mega_speed",
         "(right)",
-        "disarmed",
+        "running",
         "98M",
         "4321",
         "12k",
@@ -125,6 +135,12 @@ def test_every_link_is_told_with_its_health() -> None:
     ]
     (line,) = [line for line in lines(RECORD) if line.startswith("roboteq (right)")]
     assert line.split() == ["roboteq", "(right)", "configuring", "45M", "9999+12", "3456", "24.1"]
+
+
+def test_only_what_can_be_armed_is_disarmed() -> None:
+    links = [replace(BOARD, name=name) for name in ("mega_suspension", "nano_imu", "mega_speed (left)")]
+    drawn = lines(replace(RECORD, links=tuple(links)))[-5:-2]
+    assert [line.split()[-8] for line in drawn] == ["disarmed", "running", "running"]
 
 
 def test_battery_and_reach_are_told() -> None:
