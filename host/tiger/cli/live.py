@@ -203,7 +203,7 @@ def _links(links: tuple[LinkStatus, ...]) -> Table:
 
 
 def _state(link: LinkStatus) -> str:
-    """A board that only measures has nothing to arm: `disarmed` would look as if it were missing something."""
+    """A board that only measures has nothing to arm: `disarmed` would look like something missing."""
     only_measures = link.name.startswith(("nano_imu", "mega_speed"))
     return "running" if only_measures and link.state == "disarmed" else link.state
 
