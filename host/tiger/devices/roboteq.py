@@ -13,7 +13,8 @@ and `release` was called again. Until the watchdog was read back, the motors hea
 The line has no checksum. So every query is asked three times in one write and a reading is what two answers
 agree on; a speed that jumps waits for the next reading to confirm it. A command is confirmed by its echo and
 by the speeds that the controller reads back (`?CIS`). One that became another is answered by `!M 0 0` at
-once, a second one within a second by a fault that holds the motors until `clear` and `release`.
+once; a second one within a second, or a stop that is not confirmed, is a fault that holds the motors until
+`clear` and `release`.
 
 A stop can be damaged too: one that stops nothing still feeds the watchdog. So commands that stay unconfirmed
 are repeated for `PATIENCE_S` only. From then on the driver merely asks, which feeds nothing, until it knows
@@ -98,7 +99,7 @@ CHANGED_REMEDY = (
     "If every speed does it, its firmware reads speeds back otherwise: roboteq_read_back = false in [safety]."
 )
 MOTOR_FAULTS = MotorFlag.STALLED | MotorFlag.LOOP_ERROR | MotorFlag.SAFETY_STOP
-MOTOR_REMEDY = "Check for a blocked wheel."
+MOTOR_REMEDY = "Check for a blocked wheel; a safety stop comes from one of the controller's inputs."
 
 REMEDY = {
     FaultFlag.OVERHEAT: "Let it cool.",
@@ -490,9 +491,12 @@ class Roboteq:
         self._quench = True
         if now_s - self._changed_s < CHANGED_AGAIN_S:
             self.hold()
-            where = f"{self.name} on {self.port}"
-            self.fault = Problem(ProblemKind.FAULT, where, CHANGED, CHANGED_REMEDY)
+            self._blame_line()
         self._changed_s = now_s
+
+    def _blame_line(self) -> None:
+        where = f"{self.name} on {self.port}"
+        self.fault = Problem(ProblemKind.FAULT, where, CHANGED, CHANGED_REMEDY)
 
     def _unable(self, line: str) -> None:
         self.problem = Problem(
@@ -694,6 +698,8 @@ class Roboteq:
 
     def _begin_anew(self, now_s: float) -> None:
         self.gaps += self.phase is Phase.RUNNING
+        if self._quench:
+            self._blame_line()
         self.connected(now_s)
 
 

@@ -394,6 +394,12 @@ def test_a_stop_that_nobody_confirms_is_repeated_for_a_moment_then_silence_lets_
     assert not _commands(bench)
     assert b"?CIS\r" * 3 + b"~RWD\r" * 3 in bench.sent
     assert bench.controller.watchdog_expired
+    bench.controller.silent = False
+    bench.run(600)
+    assert "commands arrived as other ones" in str(bench.driver.fault)
+    assert not bench.driver.release()
+    bench.driver.clear()
+    assert bench.driver.release()
 
 
 def test_a_wrong_speed_that_nothing_mends_lasts_no_longer_than_the_bound() -> None:

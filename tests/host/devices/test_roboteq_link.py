@@ -47,7 +47,7 @@ class TruthfulController(Controller):
         self.given.setdefault(name, deque(maxlen=RECENT_ANSWERS)).append(tuple(values))
         return values
 
-    def _command(self, name: str, numbers: list[int]) -> str:
+    def _command(self, name: str, numbers: tuple[int, ...]) -> str:
         standing = self.commands_rpm if self.watchdog_expired else (0.0, 0.0)
         before = self.commands_rpm
         answer = super()._command(name, numbers)
