@@ -327,7 +327,6 @@ class LoadsConfig(_Section):
     soft_resistance: Positive
     moving_mps: Positive
     turning_degps: Positive
-    tilt_bandwidth_radps: Annotated[float, Field(ge=0.1, le=5.0, strict=True)]
     changed_sigmas: Annotated[float, Field(ge=3.0, le=20.0, strict=True)]
     load_noise_n: Positive
 

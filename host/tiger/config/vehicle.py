@@ -28,7 +28,7 @@ class _Section(BaseModel):
 
 
 class BodyConfig(_Section):
-    """The sprung mass; its COM lies on the mid-plane, and `half_track_m` is `w` of eq. 4.6, at half stroke."""
+    """The sprung mass; its COM lies on the mid-plane. `half_track_m` is `w` of eq. 4.6, at half stroke."""
 
     mass_kg: Positive
     roll_inertia_kgm2: Positive

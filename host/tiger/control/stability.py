@@ -200,7 +200,7 @@ def _sampled(
 ) -> tuple[Motion, TripState]:
     """Take a new sample of the IMU."""
     config, rate, turn = design.config, imu.rate_radps, imu.angular_accel_radps2
-    force = x, y, z = tip_over.at_com(judged.stance, _specific_force(imu), rate, turn)
+    force = x, y, z = tip_over.at_com(judged.stance, tip_over.specific_force_mps2(imu), rate, turn)
     if old.imu_t_s == -inf:
         now = (x, y, z, turn[0], turn[1])
         return Motion(imu.t_s, now, now, rate[:2], force, speed), tripping
@@ -383,18 +383,6 @@ def _margins(
         if towards > 0.0 < net:
             soonest = min(soonest, still / towards)  # the ground turns it over at this rate
     return least / stance.least_energy, edge, soonest, transfers
-
-
-def _specific_force(imu: ImuSample) -> Three:
-    """Specific force at the IMU, calibrated: its linear acceleration and what it took away (m/s2)."""
-    w, x, y, z = imu.quaternion
-    ahead, left, up = imu.linear_accel_mps2
-    g = GRAVITY_MPS2
-    return (
-        ahead + 2.0 * g * (x * z - w * y),
-        left + 2.0 * g * (y * z + w * x),
-        up + g * (1.0 - 2.0 * (x * x + y * y)),
-    )
 
 
 def _upright(

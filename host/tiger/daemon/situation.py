@@ -81,10 +81,12 @@ def step(
         tilt = tilt_error.step(design.tilt, tilt, inputs.imu, moving)
     ahead = ground_ahead.step(design.ahead, state.ahead, estimate)
     touching, touch = contact.step(design.contact, state.contact, inputs, estimate, state.carried, dt)
-    estimate = replace(estimate, loads=_with_contact(state.carried, touch))
-    loading, loads = wheel_loads.step(design.loads, state.loads, inputs, estimate, dt)
+    carried = state.carried if touching is state.contact else _with_contact(state.carried, touch)
+    estimate = replace(estimate, loads=carried)
+    loading, loads = wheel_loads.step(design.loads, state.loads, inputs, estimate, tilt, dt)
     rolling, rough = roughness.step(design.roughness, state.roughness, inputs, estimate, dt)
-    loads = _with_contact(loads, touch)
+    if loads is not carried:
+        loads = _with_contact(loads, touch)
     after = SituationState(touching, loading, ahead, moving, rolling, loads, tilt)
     return after, replace(estimate, loads=loads, roughness=rough)
 

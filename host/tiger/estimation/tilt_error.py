@@ -36,6 +36,12 @@ class TiltError:
     t_s: float = -inf
 
 
+def corrected_rad(error: TiltError, sample: ImuSample) -> tuple[float, float]:
+    """Return roll and pitch at a sample, put right."""
+    roll, pitch = attitude_rad(sample.quaternion)
+    return roll + error.roll_rad, pitch + error.pitch_rad
+
+
 def step(config: ObserverConfig, error: TiltError, sample: ImuSample, odometry: OdometryState) -> TiltError:
     """Follow the difference at a sample that both have, no faster than the Nano can go astray."""
     dt = sample.t_s - error.t_s

@@ -28,9 +28,9 @@ import numpy as np
 
 from tiger.control import traction
 from tiger.control.reachable import WARP
-from tiger.estimation import payload, tilt_aiding
+from tiger.control.tip_over import specific_force_mps2
+from tiger.estimation import payload, tilt_error
 from tiger.estimation.payload import Measured, PayloadDesign, PayloadState
-from tiger.estimation.tilt_aiding import AidedTilt
 from tiger.frozen import dataclass
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
 from tiger.record import STILL, Loads
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from tiger.config.robot import RobotConfig
     from tiger.control.reachable import Pose
     from tiger.estimation.payload import Payload
+    from tiger.estimation.tilt_error import TiltError
     from tiger.record import Estimate, Four, Inputs, Three
 
 _SMOOTH_S = 0.05
@@ -46,9 +47,6 @@ _PERIOD_S = 0.015
 """A sample of the IMU that comes sooner after the last one is left out: fifty a second are enough."""
 _LONGEST_S = 0.1
 """Between two samples of the IMU; a longer gap counts as this."""
-_TURNING_SHARE = 0.1
-"""Of the bandwidth that corrects the tilt, in a turn: wheels that skid tell less of accelerations."""
-_FLAT = AidedTilt()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +72,6 @@ class LoadsState:
 
     payload: PayloadState
     load: Payload
-    tilt: AidedTilt = _FLAT
     force_mps2: Three = (0.0, 0.0, GRAVITY_MPS2)
     turn_radps2: tuple[float, float] = (0.0, 0.0)
     current_a: Four = STILL
@@ -115,11 +112,17 @@ def initial_state(design: LoadsDesign) -> LoadsState:
 
 
 def step(
-    design: LoadsDesign, state: LoadsState, inputs: Inputs, estimate: Estimate, dt: float
+    design: LoadsDesign,
+    state: LoadsState,
+    inputs: Inputs,
+    estimate: Estimate,
+    off: TiltError,
+    dt: float,
 ) -> tuple[LoadsState, Loads]:
     """Advance with every other sample of the IMU; `dt` is the time that the first one stands for.
 
-    `estimate` has attitude and odometry of this tick, and the loads of the last one with the ground's warp.
+    `estimate` has the odometry of this tick, and the loads of the last one with the ground's warp; `off` is
+    what the IMU's attitude is off by.
     """
     imu, strokes = inputs.imu, inputs.strokes
     if imu is None or strokes is None:
@@ -128,14 +131,11 @@ def step(
         return state, estimate.loads
     if state.imu_t_s > -math.inf:
         dt = min(_LONGEST_S, imu.t_s - state.imu_t_s)
-    force, rate = tilt_aiding.specific_force_mps2(imu), imu.rate_radps
+    force, rate = specific_force_mps2(imu), imu.rate_radps
     wheels_mps, wheels_radps = _wheels(design, inputs)
     slipping = True in estimate.odometry.slipping
     turning = max(abs(rate[2]), abs(wheels_radps)) > design.payload.turning_radps
-    bandwidth = design.payload.config.tilt_bandwidth_radps * (_TURNING_SHARE if turning else 1.0)
-    # A body that pitches carries its accelerometer ahead of the wheels, which stay on the ground.
-    imu_mps = wheels_mps + design.payload.imu_height_m * rate[1]
-    tilt = tilt_aiding.step(state.tilt, force, rate, imu_mps, slipping, bandwidth, dt)
+    roll, pitch = tilt_error.corrected_rad(off, imu)
     current_a, left_read, right_read = _read(state, inputs)
     fresh = left_read and right_read
     drive_n, yaw_nm = _driving(design, inputs) if fresh else (0.0, 0.0)
@@ -143,8 +143,8 @@ def step(
     fl, fr, rl, rr = strokes.stroke_mm
     posed = design.payload.suspension.pose((at(fl)[0], at(fr)[0], at(rl)[0], at(rr)[0]))
     measured = Measured(
-        tilt.roll_rad - posed.roll_rad,
-        tilt.pitch_rad - posed.pitch_rad,
+        roll - posed.roll_rad,
+        pitch - posed.pitch_rad,
         posed.roll_rad,
         posed.pitch_rad,
         force[0],
@@ -167,7 +167,7 @@ def step(
     smooth = fx + share * (force[0] - fx), fy + share * (force[1] - fy), fz + share * (force[2] - fz)
     swing = p + share * (turn[0] - p), q + share * (turn[1] - q)
     read = (False, False) if fresh else (left_read, right_read)
-    after = LoadsState(carrying, load, tilt, smooth, swing, current_a, read, imu.t_s)
+    after = LoadsState(carrying, load, smooth, swing, current_a, read, imu.t_s)
     return after, _loads(design, after, estimate.loads, posed)
 
 

@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 from tiger.control import tip_over
 from tiger.control.tip_over import LEFT, Stance
 from tiger.models.full_car import GRAVITY_MPS2 as G
+from tiger.record import ImuSample
 
 RIGID = Stance(height_m=0.5, reach_m=(0.6, 0.6, 0.5, 0.5))
 STILL = (0.0, 0.0)
@@ -30,6 +31,13 @@ def margin(stance: Stance, force: tuple[float, float, float], edge: int) -> floa
 def leaning(angle: float) -> tuple[float, float, float]:
     """Reaction to gravity on a side slope, left side up."""
     return 0.0, G * math.sin(angle), G * math.cos(angle)
+
+
+def test_the_gravity_comes_back_into_the_specific_force() -> None:
+    half, none = math.radians(10.0) / 2.0, (0.0, 0.0, 0.0)
+    nose_down = ImuSample(0.0, (math.cos(half), 0.0, math.sin(half), 0.0), none, none, none, 0)
+    force = tip_over.specific_force_mps2(nose_down)
+    assert force == pytest.approx((-G * math.sin(2.0 * half), 0.0, G * math.cos(2.0 * half)))
 
 
 def test_at_rest_on_level_ground_the_margin_is_one() -> None:

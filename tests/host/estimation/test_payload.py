@@ -13,6 +13,7 @@ from tiger.config.vehicle import PayloadConfig
 from tiger.emulation.scenarios import RoughConfig, Scenario, Start, TerrainConfig
 from tiger.estimation import payload, wheel_loads
 from tiger.estimation.payload import MASS, ROLLING, STATES, UNKNOWN_M
+from tiger.estimation.tilt_error import TiltError
 from tiger.record import Estimate, Inputs, Loads
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     Roll = Callable[..., Iterator[Tick]]
 
 ROBOT = load_robot(None)
+EXACT = TiltError()
+"""The IMU's attitude is off by nothing here."""
 DESIGN = wheel_loads.design_loads(ROBOT)
 LEG_S = 5.0
 G = 9.80665
@@ -78,7 +81,7 @@ def driven(
     )
     state, estimate = wheel_loads.initial_state(DESIGN), Estimate(ready=True)
     for tick in roll(ROBOT, scenario, along, seed):
-        state, loads = wheel_loads.step(DESIGN, state, tick.inputs, estimate, 0.005)
+        state, loads = wheel_loads.step(DESIGN, state, tick.inputs, estimate, EXACT, 0.005)
         estimate = replace(estimate, loads=loads)
     return estimate.loads
 
@@ -305,6 +308,6 @@ def test_a_place_means_nothing_without_a_load() -> None:
 
 def test_without_samples_the_robot_counts_as_empty() -> None:
     state = wheel_loads.initial_state(DESIGN)
-    after, loads = wheel_loads.step(DESIGN, state, Inputs(0.0, armed=False), Estimate(), 0.005)
+    after, loads = wheel_loads.step(DESIGN, state, Inputs(0.0, armed=False), Estimate(), EXACT, 0.005)
     assert after is state
     assert loads == DESIGN.empty

@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 
 from tiger.config.robot import load_robot
 from tiger.config.vehicle import PayloadConfig
+from tiger.control.tip_over import specific_force_mps2
 from tiger.emulation.scenarios import RoughConfig, Scenario, Start, TerrainConfig
 from tiger.estimation import wheel_loads
+from tiger.estimation.tilt_error import TiltError
 from tiger.record import Estimate, Loads
 
 if TYPE_CHECKING:
@@ -21,11 +23,13 @@ if TYPE_CHECKING:
 
     from conftest import Tick
 
-    from tiger.record import Four
+    from tiger.record import Four, ImuSample
 
     Roll = Callable[..., Iterator[Tick]]
 
 ROBOT = load_robot(None)
+EXACT = TiltError()
+"""The IMU's attitude is off by nothing here."""
 DESIGN = wheel_loads.design_loads(ROBOT)
 CORNER_NPM = DESIGN.corner_npm
 WARP = np.array([1.0, -1.0, -1.0, 1.0])
@@ -43,7 +47,7 @@ def errors_n(roll: Roll, scenario: Scenario, seed: int, warp_m: float = 0.0, **m
     estimate = Estimate(ready=True, loads=Loads(ground_warp_m=warp_m))
     errors = []
     for tick in roll(ROBOT, scenario, course, seed, **more):
-        state, loads = wheel_loads.step(DESIGN, state, tick.inputs, estimate, 0.005)
+        state, loads = wheel_loads.step(DESIGN, state, tick.inputs, estimate, EXACT, 0.005)
         estimate = replace(estimate, loads=loads)
         if tick.inputs.now_s > 0.3 * scenario.duration_s:
             errors.append(np.subtract(loads.wheel_load_n, tick.truth.wheel_load_n))
@@ -90,7 +94,7 @@ def test_a_known_twist_of_the_ground_loads_one_diagonal(roll: Roll) -> None:
     state, still = wheel_loads.initial_state(DESIGN), lambda _: (0.0, 0.0)
     estimate = Estimate(ready=True, loads=Loads(ground_warp_m=float(warp_m)))
     for tick in roll(ROBOT, scenario, still, 1):
-        state, loads = wheel_loads.step(DESIGN, state, tick.inputs, estimate, 0.005)
+        state, loads = wheel_loads.step(DESIGN, state, tick.inputs, estimate, EXACT, 0.005)
         estimate = replace(estimate, loads=loads)
     diagonal = WARP @ np.array(loads.wheel_load_n)
     assert diagonal == pytest.approx(WARP @ np.array(tick.truth.wheel_load_n), rel=0.1)
@@ -122,15 +126,43 @@ def test_what_is_not_known_of_mass_place_and_twist_widens_the_deviation(roll: Ro
     tick = next(roll(ROBOT, Scenario(title="one", duration_s=0.01), lambda _: (0.0, 0.0), 0))
     for sigma_m, least in ((0.0, 0.0), (0.1, CORNER_NPM * 0.025)):
         known = Estimate(ready=True, loads=Loads(ground_warp_sigma_m=sigma_m))
-        _, loads = wheel_loads.step(DESIGN, state, tick.inputs, known, 0.005)
+        _, loads = wheel_loads.step(DESIGN, state, tick.inputs, known, EXACT, 0.005)
         assert min(loads.wheel_load_sigma_n) > max(least, ROBOT.loads.load_noise_n)
+
+
+def test_what_the_attitude_is_known_to_be_off_by_is_no_tilt(roll: Roll) -> None:
+    """A tilt that the board alone sees, and with it gravity where there is none."""
+    wrong, pitch_wrong = 0.03, -0.02
+    state = wheel_loads.initial_state(DESIGN)
+    *_, tick = roll(ROBOT, Scenario(title="one", duration_s=0.02), lambda _: (0.0, 0.0), 0)
+    imu = tick.inputs.imu
+    assert imu is not None
+    force = specific_force_mps2(imu)
+    (w, x, y, z), (a, b) = imu.quaternion, (0.5 * wrong, 0.5 * pitch_wrong)
+    tilted = (w - a * x - b * y, x + a * w + b * z, y + b * w - a * z, z + a * y - b * x)
+    misled = replace(imu, quaternion=tilted, linear_accel_mps2=(0.0, 0.0, 0.0))
+    felt = specific_force_mps2(misled)
+    misled = replace(misled, linear_accel_mps2=tuple(np.subtract(force, felt).tolist()))
+
+    def shown(sample: ImuSample, off: TiltError) -> tuple[float, float]:
+        inputs = replace(tick.inputs, imu=sample)
+        once, _ = wheel_loads.step(DESIGN, state, inputs, Estimate(ready=True), off, 0.005)
+        later = replace(inputs, imu=replace(sample, t_s=sample.t_s + 0.02))
+        span = wheel_loads.step(DESIGN, once, later, Estimate(ready=True), off, 0.005)[0].payload.span
+        return span.roll_rad, span.pitch_rad
+
+    true = shown(imu, EXACT)
+    assert shown(misled, TiltError(-wrong, -pitch_wrong)) == pytest.approx(true, abs=1e-3)
+    assert shown(misled, EXACT) == pytest.approx((true[0] + wrong, true[1] + pitch_wrong), abs=1e-3)
 
 
 def test_only_a_new_sample_of_the_imu_changes_anything(roll: Roll) -> None:
     state, estimate = wheel_loads.initial_state(DESIGN), Estimate(ready=True)
     ticks = list(roll(ROBOT, Scenario(title="two", duration_s=0.02), lambda _: (0.0, 0.0), 0))
-    after, loads = wheel_loads.step(DESIGN, state, ticks[0].inputs, estimate, 0.005)
-    same, kept = wheel_loads.step(DESIGN, after, ticks[1].inputs, replace(estimate, loads=loads), 0.005)
+    after, loads = wheel_loads.step(DESIGN, state, ticks[0].inputs, estimate, EXACT, 0.005)
+    same, kept = wheel_loads.step(
+        DESIGN, after, ticks[1].inputs, replace(estimate, loads=loads), EXACT, 0.005
+    )
     assert same is after
     assert kept is loads
 
