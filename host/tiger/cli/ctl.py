@@ -119,7 +119,7 @@ def estop(as_json: Json = False) -> None:
 @app.command()
 def clear(as_json: Json = False) -> None:
     """Clear what stopped it and is gone; arms nothing."""
-    _arrive("clear", ("DISARMED",), CHANGE_TIME_S, as_json)
+    _arrive("clear", ("DISARMED", "ARMED"), CHANGE_TIME_S, as_json)
 
 
 @app.command()

@@ -294,6 +294,8 @@ class Desk:
         return Accepted(id=request.id, text="emergency stop: everything is off until it is cleared")
 
     def _clear(self, request: ClearRequest, moment: Moment) -> Reply:
+        if moment.daemon.state is DaemonState.ARMED:
+            return Accepted(id=request.id, text="nothing to clear: the robot is armed")
         moment.daemon.clear()
         return Accepted(id=request.id, text="clearing; what has no cause any longer goes away")
 

@@ -164,7 +164,13 @@ class Daemon:
             drive.driver.emergency_stop()
 
     def clear(self) -> None:
-        """Clear latched faults and emergency stops whose cause is gone; nothing is armed by it."""
+        """Clear latched faults and emergency stops whose cause is gone; nothing is armed by it.
+
+        An armed robot has none: boards clear only when disarmed, which would stop it.
+        """
+        if self.state is DaemonState.ARMED:
+            self._say("nothing to clear: the robot is armed")
+            return
         self._clear_until_s = self._clock.now_s() + CLEAR_TIME_S
         self._refusal = None
         self._wheel_check = WheelCheck()

@@ -103,6 +103,14 @@ def test_drive_drives_for_so_long_and_then_stands(disarmed: Any) -> None:
     assert disarmed.api.desk.helm is None
 
 
+def test_clear_does_not_stop_an_armed_robot(disarmed: Any) -> None:
+    assert ctl("arm").exit_code == 0
+    assert ctl("clear").output.startswith("ARMED")
+    disarmed.rig.daemon.clear()  # as the key c of `tiger run` does
+    assert ctl("status").output.startswith("ARMED")
+    assert "nothing to clear" in disarmed.rig.daemon.log_lines[-1]
+
+
 def test_estop_stops_whoever_drives_and_arm_is_refused_until_clear(disarmed: Any) -> None:
     assert ctl("arm").exit_code == 0
     with Robot() as driver:
