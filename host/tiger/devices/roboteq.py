@@ -542,14 +542,14 @@ class Roboteq:
         return (first, "^ECHOF 0", f"^RWD {self.watchdog_ms}", WATCHDOG, *scale)
 
     def _try_again(self, now_s: float) -> None:
-        """Configure again; but the motors are stopped once, at once or after a silence."""
+        """Configure again; a stop that failed is repeated for a while, then after a silence."""
         if self._step > 0:
-            # Not from the stop: the watchdog may just have been set to something else, on the way.
+            # The motors stand. What ^RWD has become is not known: no command before ~RWD has answered.
             self._step = 1
             self._retry_s = now_s + RETRY_S
         elif self._is_unsure(now_s):
             self._retry_s = self._said_s + self.silence_s
-            self._unsure_s = math.inf  # by then
+            self._unsure_s = math.inf  # the motors stand by then
 
     def _answered(self, name: str, answers: list[tuple[int, ...]], now_s: float) -> None:
         last = self.readings.get(name)
@@ -566,7 +566,7 @@ class Roboteq:
             self._warm(values, now_s)
         elif name == "RWD" and values[0] != self.watchdog_ms:
             self._begin_anew(now_s)
-            self._retry_s = now_s  # not after a silence, which the watchdog of delivery outlasts
+            self._retry_s = now_s  # no silence: the watchdog of a controller that lost power is a long one
         elif name == "S":
             plausible = last is not None and _near(values, last)
             if plausible and {"V", "FF"} <= self.readings.keys():
