@@ -112,7 +112,19 @@ class LevelingConfig(_Section):
     ahead_memory_m: Positive
     ahead_smooth_m: Positive
     ahead_noise: Positive
+    ahead_waves_m: Annotated[tuple[NonNegative, ...], Field(min_length=1)]
+    ahead_trial_m: Positive
+    ahead_learn_m: Positive
     ahead_fade_deg: Positive
+
+    @model_validator(mode="after")
+    def _remembers_what_it_tries(self) -> LevelingConfig:
+        if self.ahead_trial_m >= self.ahead_memory_m:
+            raise ValueError(
+                f"ahead_trial_m = {self.ahead_trial_m} must be below ahead_memory_m = {self.ahead_memory_m}: "
+                "lower it"
+            )
+        return self
 
     @model_validator(mode="after")
     def _hysteresis(self) -> LevelingConfig:

@@ -4,12 +4,17 @@ Of the ground to come a robot that drives straight on knows half: the rear wheel
 have rolled. The other half, before the front wheels, goes on much as it did. Both follow from one thing, how
 alike ground is over distance. That of ISO 8608, of a spectrum n^-2, is a random walk,
 
-    E[(z(a) - z(b))^2] ~ sqrt(|a - b|^2 + smooth^2),
+    E[(z(a) - z(b))^2] ~ |a - b|   and less near by, where waves shorter than some length are missing,
 
 on a surface equally rough in every direction, and smooth over a length because tyres and springs make it so.
 Roll and pitch of the plane under four wheels are differences of heights, so this gives the covariance of any
 two of them, and with it the least-squares estimate of slopes to come from slopes passed (kriging; Matheron,
 Principles of geostatistics, 1963). The mean slope of a hill is unknown and goes on.
+
+How short the shortest waves are decides how far ahead the ground can be told at all, and is not known. So it
+is learned: at every step each of a few grounds tells the slope of now from those a little way back, and the
+one that has been least wrong over the last metres is believed (multiple-model estimation; Magill, IEEE Trans.
+Automatic Control 10, 1965). Its share in the errors of all counts: a jolt weighs no more than any step.
 
 The moments that count begin when what is decided now acts, and are as long as the levelling law takes to
 bring a small error down. It aims at the mean of the ground over them, which for slow actuators is as good as
@@ -23,6 +28,7 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import itj0y0, j0, j1
 
 from tiger.control.attitude import design_leveling
 from tiger.frozen import dataclass
@@ -31,6 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from tiger.config.robot import RobotConfig
+    from tiger.config.vehicle import BodyConfig
     from tiger.record import Estimate, Four
 
     Array = NDArray[np.float64]
@@ -38,6 +45,10 @@ if TYPE_CHECKING:
 _SPEEDS = 61
 _LOOKS = 8
 """Points in time whose mean is that over the moments ahead."""
+_FINE_M = 0.005
+"""Between two places where the covariance is computed."""
+_EXACT_RAD2 = 1e-12
+"""Square of an error that is none."""
 _ANY_SLOPE = 1e3
 """Variance of the mean slope of the ground over that of its unevenness: unknown."""
 
@@ -56,8 +67,12 @@ class AheadDesign:
     """How much more is known after each step."""
     speed_step_mps: float
     table: Array
-    """(speeds, axis, 2, taps): weights of the slopes at the last steps, newest first, that give the mean
-    slope ahead less that of now; just at a step, and a step later."""
+    """(grounds, speeds, axis, 2, taps): weights of the slopes at the last steps, newest first, that give the
+    mean slope ahead less that of now; just at a step, and a step later."""
+    trial: Array
+    """(axis, grounds, taps): the same that give how far off the newest each ground would have told."""
+    learn: float
+    """Weight of the newest trial in the mean."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +81,8 @@ class AheadState:
 
     slopes: Array
     """Of the ground in roll and in pitch (2, taps), newest first."""
+    wrong: Array
+    """Mean share of each ground in how far off all were (grounds,)."""
     turn_rad: Four = (0.0, 0.0, 0.0, 0.0)
     """Turn ahead in roll, just at the last step and a step later; and in pitch."""
     known: float = 0.0
@@ -77,7 +94,7 @@ class AheadState:
 
 
 def design_ahead(robot: RobotConfig) -> AheadDesign:
-    """Compute the table, in some milliseconds."""
+    """Compute the tables, in some tens of milliseconds."""
     config, body, leveling = robot.leveling, robot.vehicle.body, design_leveling(robot)
     # u = k error - d rate of an integrator behind a lag: it meets what is (1 + d)/k ahead.
     middle_s = (1.0 + leveling.rate_gain) / leveling.error_gain_per_s
@@ -86,17 +103,17 @@ def design_ahead(robot: RobotConfig) -> AheadDesign:
     speeds = np.linspace(0.0, robot.drive.max_speed_mps, _SPEEDS)
     now_m = np.array([0.0, step_m])
     then_m = now_m[:, None] + speeds[:, None, None] * looks_s
-    past_m = -step_m * np.arange(taps)
-    table = np.empty((_SPEEDS, 2, 2, taps))
-    x_m = np.array([body.com_to_front_axle_m] * 2 + [-body.com_to_rear_axle_m] * 2)
-    y_m = body.half_track_m * np.array([1.0, -1.0, 1.0, -1.0])
-    shares = (0.25 / y_m, -0.5 * np.sign(x_m) / body.wheelbase_m)
-    for axis, share in enumerate(shares):
-        alike = _Alike(x_m, y_m, share, config.ahead_smooth_m)
-        own = float(alike.at(np.zeros(1))[0])
-        among = alike.at(past_m[:, None] - past_m) + own * (_ANY_SLOPE + config.ahead_noise * np.eye(taps))
-        ahead = alike.at(then_m[..., None] - past_m).mean(axis=2) - alike.at(now_m[:, None] - past_m)
-        table[:, axis] = np.linalg.solve(among, ahead.reshape(-1, taps).T).T.reshape(_SPEEDS, 2, taps)
+    past_m: Array = -step_m * np.arange(taps, dtype=np.float64)
+    back = round(config.ahead_trial_m / step_m)
+    grounds = len(config.ahead_waves_m)
+    table, trial = np.empty((grounds, _SPEEDS, 2, 2, taps)), np.zeros((2, grounds, taps))
+    trial[..., 0], trial[..., back] = 1.0, -1.0
+    apart_m = np.arange(0.0, then_m.max() - past_m[-1] + _FINE_M, _FINE_M)
+    for ground, wave_m in enumerate(config.ahead_waves_m):
+        for axis, common in enumerate(_in_common(body, wave_m, config.ahead_smooth_m, apart_m)):
+            slope = _Slope(apart_m, common, config.ahead_noise)
+            table[ground, :, axis] = slope.turn(now_m, then_m, past_m)
+            trial[axis, ground, back:] -= slope.turn(past_m[back], past_m[:1], past_m[back:])
     return AheadDesign(
         step_m=step_m,
         middle_s=middle_s,
@@ -105,28 +122,54 @@ def design_ahead(robot: RobotConfig) -> AheadDesign:
         settle=step_m / body.wheelbase_m,
         speed_step_mps=float(speeds[1]),
         table=table,
+        trial=trial,
+        learn=step_m / config.ahead_learn_m,
     )
 
 
+def _in_common(body: BodyConfig, wave_m: float, smooth_m: float, apart_m: Array) -> Array:
+    """Return the covariance of two slopes so far apart, but for a factor, in roll and in pitch (2, n)."""
+
+    def differ(x_m: Array, y_m: float) -> Array:
+        """Mean square by which heights differ: the sum over the plane's waves, k^-3 up to 1/wave_m."""
+        far_m: Array = np.sqrt(x_m**2 + y_m**2 + smooth_m**2)
+        if wave_m == 0.0:
+            return far_m
+        phase = math.tau / wave_m * far_m
+        return np.asarray(far_m * (itj0y0(phase)[0] - j1(phase) - (1.0 - j0(phase)) / phase))
+
+    def axle(x_m: Array) -> Array:
+        """Covariance of two axles' slopes, and of their mean heights."""
+        track, tracks = differ(x_m, 0.0), differ(x_m, 2.0 * body.half_track_m)
+        return np.stack([tracks - track, -tracks - track])
+
+    other = axle(apart_m + body.wheelbase_m) + axle(apart_m - body.wheelbase_m)
+    return 2.0 * axle(apart_m) + np.array([[1.0], [-1.0]]) * other
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class _Alike:
-    """A slope of the ground: `share` of each height under wheels at x and y; all (4,)."""
+class _Slope:
+    """Roll or pitch of the ground under the wheels along the way: its covariance over distance, both (n,)."""
 
-    x_m: Array
-    y_m: Array
-    share: Array
-    smooth_m: float
+    apart_m: Array
+    common: Array
+    noise: float
 
-    def at(self, apart_m: Array) -> Array:
-        """Return its covariance with itself so far on, but for a factor: half of what heights differ by."""
-        x = np.subtract.outer(self.x_m, self.x_m) + apart_m[..., None, None]
-        y = np.subtract.outer(self.y_m, self.y_m)
-        return np.asarray(-0.5 * self.share @ np.sqrt(x**2 + y**2 + self.smooth_m**2) @ self.share)
+    def turn(self, from_m: Array, to_m: Array, seen_m: Array) -> Array:
+        """Return the weights of slopes seen that tell the mean slope of the places `to_m` less that at
+        `from_m`: (..., m), (...) and (n,) give (..., n)."""
+        wanted = self._with(to_m, seen_m).mean(axis=-2) - self._with(from_m, seen_m)
+        noise = self.common[0] * (_ANY_SLOPE + self.noise * np.eye(len(seen_m)))
+        weights = np.linalg.solve(self._with(seen_m, seen_m) + noise, wanted.reshape(-1, len(seen_m)).T).T
+        return np.asarray(weights.reshape(wanted.shape))
+
+    def _with(self, at_m: Array, seen_m: Array) -> Array:
+        return np.interp(np.abs(at_m[..., None] - seen_m), self.apart_m, self.common)
 
 
 def initial_state(design: AheadDesign) -> AheadState:
     """Return the state before the first metre: nothing is known."""
-    return AheadState(np.zeros((2, design.table.shape[-1])))
+    return AheadState(np.zeros((2, design.table.shape[-1])), np.zeros(len(design.table)))
 
 
 def step(design: AheadDesign, state: AheadState, estimate: Estimate) -> AheadState:
@@ -148,10 +191,14 @@ def step(design: AheadDesign, state: AheadState, estimate: Estimate) -> AheadSta
     bend = abs(math.remainder(where.yaw_rad - state.yaw_rad, math.tau))
     known = max(0.0, known - design.fade_per_rad * bend)
     known += (1.0 - known) * design.settle
-    weights = design.table[min(round(speed / design.speed_step_mps), _SPEEDS - 1)]
+    off_roll, off_pitch = (design.trial @ slopes[:, :, None])[..., 0]
+    off_rad2 = off_roll**2 + off_pitch**2 + _EXACT_RAD2
+    wrong = state.wrong + design.learn * known * (off_rad2 / off_rad2.sum() - state.wrong)
+    ground = int(wrong.argmin())  # the first one, until another has been less wrong
+    weights = design.table[ground, min(round(speed / design.speed_step_mps), _SPEEDS - 1)]
     (roll, roll_later), (pitch, pitch_later) = (weights @ slopes[:, :, None])[..., 0].tolist()
     turn_rad = roll, roll_later, pitch, pitch_later
-    return AheadState(slopes, turn_rad, known, where.distance_m - over_m, where.yaw_rad, forwards)
+    return AheadState(slopes, wrong, turn_rad, known, where.distance_m - over_m, where.yaw_rad, forwards)
 
 
 def turning_radps(design: AheadDesign, state: AheadState, estimate: Estimate) -> tuple[float, float]:

@@ -104,6 +104,7 @@ def test_all_errors_are_told_at_once_with_key_value_and_next_step(write: Callabl
     [
         ("[leveling]\nwake_deg = 0.1", ("settle_deg = 0.08", "dead_zone_deg = 0.2", "wake_deg = 0.1")),
         ("[leveling]\nride_stroke_mm = 69.5", ("leveling.ride_stroke_mm = 69.5", "68.5")),
+        ("[leveling]\nahead_trial_m = 2.0", ("ahead_trial_m = 2.0", "ahead_memory_m = 2.0", "lower it")),
         ("[leveling]\nstroke_margin_mm = 35.0", ("leveling.stroke_margin_mm = 35.0", "lower it")),
         ("[loop]\nsetpoint_rate_hz = 90.0", ("rate_hz = 200.0", "setpoint_rate_hz = 90.0")),
         ("[safety]\nbattery_min_v = 23.0", ("battery_low_v = 22.0", "battery_min_v = 23.0")),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +16,7 @@ from tiger.config.robot import load_robot
 from tiger.emulation.ground import make_terrain
 from tiger.emulation.scenarios import RoughConfig, TerrainConfig
 from tiger.estimation import ground_ahead
-from tiger.estimation.ground_ahead import AheadState, design_ahead, initial_state, turning_radps
+from tiger.estimation.ground_ahead import AheadDesign, AheadState, design_ahead, initial_state, turning_radps
 from tiger.record import Estimate, Odometry
 
 if TYPE_CHECKING:
@@ -25,10 +26,12 @@ if TYPE_CHECKING:
 
     Slopes = Callable[[float], tuple[float, float]]
 
-TIGER = load_robot()
-# Slopes are known exactly here, and no load swings on the springs: they may be believed.
-ROBOT = TIGER.model_copy(update={"leveling": TIGER.leveling.model_copy(update={"ahead_noise": 1e-4})})
+ROBOT = load_robot()
 DESIGN = design_ahead(ROBOT)
+# Slopes are known exactly here, and no load swings on the springs: they may be believed.
+TRUSTING = design_ahead(
+    ROBOT.model_copy(update={"leveling": ROBOT.leveling.model_copy(update={"ahead_noise": 1e-4})})
+)
 BODY = ROBOT.vehicle.body
 DT = 0.005
 ROLL_OF_HILL, PITCH_OF_HILL = math.radians(3.0), math.radians(-6.0)
@@ -55,15 +58,15 @@ def seen(slopes: Slopes, at_m: float, speed_mps: float, yaw_rad: float = 0.0) ->
 
 
 def driven(
-    slopes: Slopes, speed_mps: float, way_m: float, state: AheadState | None = None, begin_m: float = 0.0
+    slopes: Slopes, speed_mps: float, way_m: float, design: AheadDesign = DESIGN
 ) -> tuple[AheadState, NDArray[np.float64]]:
-    """Drive, and return the rates told at every tick beside the true way and mean turn ahead, over time."""
-    state = initial_state(DESIGN) if state is None else state
-    rows, x = [], begin_m
-    while x < begin_m + way_m:
+    """Drive, and return at every tick the way, the rates told, and those of now."""
+    state = initial_state(design)
+    rows, x = [], 0.0
+    while x < way_m:
         now = seen(slopes, x, speed_mps)
-        state = ground_ahead.step(DESIGN, state, now)
-        rows.append((x, *turning_radps(DESIGN, state, now), *rates(now)))
+        state = ground_ahead.step(design, state, now)
+        rows.append((x, *turning_radps(design, state, now), *rates(now)))
         x += abs(speed_mps) * DT
     return state, np.array(rows)
 
@@ -72,9 +75,10 @@ def rates(estimate: Estimate) -> tuple[float, float]:
     return estimate.plate_roll_rate_radps, estimate.plate_pitch_rate_radps
 
 
-def rolling_ground(seed: int) -> Slopes:
+@cache
+def rolling_ground(seed: int, shortest_wave_m: float = 1.0) -> Slopes:
     """Slopes under the four wheels on rolling ground of class D, its axis along the robot's way."""
-    rough = RoughConfig(roughness="D", size_m=(60.0, 20.0), shortest_wave_m=1.0, seed=seed)
+    rough = RoughConfig(roughness="D", size_m=(60.0, 20.0), shortest_wave_m=shortest_wave_m, seed=seed)
     terrain = make_terrain(TerrainConfig(rough=rough), BODY.half_track_m)
     x = np.arange(0.0, 50.0, 0.01)
     a, b, y = BODY.com_to_front_axle_m, BODY.com_to_rear_axle_m, BODY.half_track_m
@@ -101,7 +105,7 @@ def test_on_rough_ground_it_knows_more_the_faster_it_goes(
     speed_mps: float, over_rate: float, seed: int
 ) -> None:
     slopes = rolling_ground(seed)
-    _, rows = driven(slopes, speed_mps, 38.0)
+    _, rows = driven(slopes, speed_mps, 38.0, TRUSTING)
     rows = rows[rows[:, 0] > 3.0][::10]
     true = turn_to_come(slopes, speed_mps, rows[:, 0])
     told, rate = DESIGN.middle_s * rows[:, 1:3] - true, DESIGN.middle_s * rows[:, 3:5] - true
@@ -116,24 +120,88 @@ def test_a_hill_of_any_slope_goes_on(speed_mps: float) -> None:
     assert np.abs(rows[:, 1:3]).max() < math.radians(0.05)
 
 
-@pytest.mark.parametrize(("length_m", "over_rate"), [(0.8, 0.95), (1.5, 0.85), (3.0, 0.9)])
-def test_a_mound_on_even_ground_is_told_better_than_by_the_present_rate(
-    length_m: float, over_rate: float
-) -> None:
-    """Its shape is none of rough ground; what the rear wheels will meet is known all the same."""
+def only(ground: int) -> AheadDesign:
+    """Return the design that knows of one ground alone."""
+    return replace(DESIGN, table=DESIGN.table[[ground]], trial=DESIGN.trial[:, [ground]])
 
-    def height(x: float) -> float:
-        return 0.02 * math.sin(math.pi * min(max((x - 10.0) / length_m, 0.0), 1.0)) ** 2
 
-    def mound(x: float) -> tuple[float, float]:
-        return 0.0, (height(x - BODY.wheelbase_m) - height(x)) / BODY.wheelbase_m
+def missed(slopes: Slopes, design: AheadDesign) -> float:
+    """How far off what is told is, RMS of roll and pitch after some metres."""
+    speed_mps = 1.4
+    _, rows = driven(slopes, speed_mps, 38.0, design)
+    rows = rows[rows[:, 0] > 8.0][::10]
+    told = design.middle_s * rows[:, 1:3] - turn_to_come(slopes, speed_mps, rows[:, 0])
+    return float(np.sqrt((told.std(axis=0) ** 2).sum()))
 
-    _, rows = driven(mound, 1.4, 15.0)
-    rows = rows[rows[:, 0] > 9.0]
-    true = turn_to_come(mound, 1.4, rows[:, 0])
-    told, rate = DESIGN.middle_s * rows[:, 1:3] - true, DESIGN.middle_s * rows[:, 3:5] - true
-    assert np.abs(told[:, 0]).max() < 1e-9
-    assert told[:, 1].std() < over_rate * rate[:, 1].std()
+
+WAVES_M = ROBOT.leveling.ahead_waves_m
+LONG_WAVES = WAVES_M.index(1.0)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_ground_without_short_waves_is_told_further_ahead(seed: int) -> None:
+    slopes = rolling_ground(seed)
+    state, _ = driven(slopes, 1.4, 20.0)
+    assert WAVES_M[int(state.wrong.argmin())] >= 0.7
+    assert missed(slopes, DESIGN) < 0.8 * missed(slopes, only(0))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_broken_ground_is_told_with_caution(seed: int) -> None:
+    slopes = rolling_ground(seed, 0.2)
+    state, _ = driven(slopes, 1.4, 20.0)
+    assert WAVES_M[int(state.wrong.argmin())] < 0.5
+    assert missed(slopes, DESIGN) < 0.7 * missed(slopes, only(LONG_WAVES))
+
+
+def test_it_learns_when_the_ground_breaks_up() -> None:
+    rolling, broken = rolling_ground(1), rolling_ground(1, 0.2)
+    state, _ = driven(
+        lambda x: rolling(x) if x < 20.0 else broken(x), 1.4, 20.0 + 2.0 * ROBOT.leveling.ahead_learn_m
+    )
+    assert WAVES_M[int(state.wrong.argmin())] < 0.5
+
+
+def test_a_jolt_teaches_no_more_than_any_step() -> None:
+    """A start rocks the body for a moment, and all grounds are wrong by far."""
+    slopes = rolling_ground(1)
+
+    def jolted(x: float) -> tuple[float, float]:
+        roll, pitch = slopes(x)
+        return roll, pitch + (math.radians(10.0) if 18.0 < x < 18.1 else 0.0)
+
+    quiet, _ = driven(slopes, 1.4, 20.5)
+    shaken, _ = driven(jolted, 1.4, 20.5)
+    assert shaken.wrong.argmin() == quiet.wrong.argmin()
+    assert shaken.wrong.sum() == pytest.approx(quiet.wrong.sum())
+
+
+@pytest.mark.parametrize("wave", range(len(WAVES_M)))
+def test_a_trial_of_a_slope_that_goes_on_finds_nothing_wrong(wave: int) -> None:
+    assert np.abs(DESIGN.trial[:, wave].sum(axis=1)).max() < 1e-3
+    assert (DESIGN.trial[:, wave, 0] == 1.0).all()
+
+
+def test_a_mound_on_even_ground_is_told_no_worse_than_by_the_present_rate() -> None:
+    """Its shape is none of rough ground, and nothing could be learned before."""
+    shares = []
+    for length_m in (0.8, 1.5, 3.0):
+
+        def mound(x: float, length_m: float = length_m) -> tuple[float, float]:
+            front, rear = (
+                0.02 * math.sin(math.pi * min(max((at - 10.0) / length_m, 0.0), 1.0)) ** 2
+                for at in (x, x - BODY.wheelbase_m)
+            )
+            return 0.0, (rear - front) / BODY.wheelbase_m
+
+        _, rows = driven(mound, 1.4, 15.0)
+        rows = rows[rows[:, 0] > 9.0]
+        true = turn_to_come(mound, 1.4, rows[:, 0])
+        told, rate = DESIGN.middle_s * rows[:, 1:3] - true, DESIGN.middle_s * rows[:, 3:5] - true
+        assert np.abs(told[:, 0]).max() < 1e-9
+        shares.append(told[:, 1].std() / rate[:, 1].std())
+    assert max(shares) < 1.1
+    assert np.mean(shares) < 0.97
 
 
 def test_a_robot_that_stands_is_told_the_present_rate() -> None:
