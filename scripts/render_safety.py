@@ -88,7 +88,7 @@ def page() -> str:
     )
     drive_faults = [(f"{decode_flags(flag, FaultFlag)[0]} (?FF)", text) for flag, text in REMEDY.items()]
     drive_faults += [(f"motor {name} (?FM)", MOTOR_REMEDY) for name in decode_flags(MOTOR_FAULTS, MotorFlag)]
-    drive_faults.append((f"{CHANGED}, twice within a second", CHANGED_REMEDY))
+    drive_faults.append((f"{CHANGED}, twice within a second, or a stop was not confirmed", CHANGED_REMEDY))
     states = [(row.state.name, row.reason, row.next_state.name) for row in TABLE]
     faults = [
         (

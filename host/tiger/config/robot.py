@@ -159,6 +159,7 @@ class DriveControlConfig(_Section):
     yaw_rate_gain_per_s: NonNegative
     yaw_rate_trim_max_degps: NonNegative
     speed_source: Literal["roboteq", "mega_speed"]
+    roboteq_speed_query: Literal["S", "BS"]
     wheel_speed_gain_per_s: NonNegative
     wheel_trim_max_rpm: NonNegative
 

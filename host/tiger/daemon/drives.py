@@ -25,6 +25,7 @@ class Drive:
             rate_hz,
             safety.sustained_current_s,
             safety.roboteq_read_back,
+            robot.drive.roboteq_speed_query,
         )
         self.connection = Connection(ports, path, BAUD)
 

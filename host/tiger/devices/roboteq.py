@@ -28,7 +28,7 @@ import re
 from collections import deque
 from enum import Enum, IntFlag
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from tiger.frozen import dataclass
 from tiger.record import DriveSample, Problem, ProblemKind
@@ -36,6 +36,7 @@ from tiger.record import DriveSample, Problem, ProblemKind
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+SpeedQuery = Literal["S", "BS"]
 BAUD = 115_200
 DEADLINE_S = 0.020  # of one exchange
 LINE_LIMIT = 64
@@ -143,7 +144,8 @@ class _Query:
 _QUERIES = {
     query.name: query
     for query in (
-        _Query("S", (2,), -RPM_LIMIT, RPM_LIMIT, within=(6, 6)),
+        _Query("S", (2,), -RPM_LIMIT, RPM_LIMIT, within=(6, 6)),  # of encoders
+        _Query("BS", (2,), -RPM_LIMIT, RPM_LIMIT, within=(6, 6)),  # of brushless motors' Hall sensors
         _Query("A", (2,), -5000, 5000, within=(50, 50)),
         _Query("BA", (2,), -5000, 5000, within=(50, 50)),
         _Query("V", (3,), 0, 10_000, within=(5, 5, 50)),
@@ -279,10 +281,12 @@ class Roboteq:
         rate_hz: float,
         sustained_s: float,
         read_back: bool = True,
+        speed_query: SpeedQuery = "S",
     ) -> None:
         """`name` and `port` are for messages; commands are refreshed at `rate_hz`, and read back or not.
 
-        The squares of the motors' currents are smoothed over `sustained_s`.
+        The squares of the motors' currents are smoothed over `sustained_s`; `speed_query` asks for their
+        speeds.
         """
         self.name = name
         self.port = port
@@ -299,6 +303,7 @@ class Roboteq:
         self.changed_commands = 0  # speeds that arrived as other ones, answered by a stop
         self.fault: Problem | None = None  # why the motors are held until `clear`
         self._read_back = read_back
+        self._speed_query = speed_query
         self._sustained_s = sustained_s
         self._mean_square_a2 = (0.0, 0.0)  # outlives a lost connection, as the motors' heat does
         self._current_s = -math.inf  # when the currents were read last
@@ -567,7 +572,7 @@ class Roboteq:
         elif name == "RWD" and values[0] != self.watchdog_ms:
             self._begin_anew(now_s)
             self._retry_s = now_s  # no silence: the watchdog of a controller that lost power is a long one
-        elif name == "S":
+        elif name == self._speed_query:
             plausible = last is not None and _near(values, last)
             if plausible and {"V", "FF"} <= self.readings.keys():
                 self.sample = self._sampled(values, now_s)
@@ -662,7 +667,7 @@ class Roboteq:
         """The next command comes a period later; until then there is time for two queries."""
         due_s = self._motor_due_s + self.period_s
         self._motor_due_s = due_s if due_s > now_s else now_s + self.period_s
-        self._queries = deque(("?S", _SLOW_QUERIES[self._slow]))
+        self._queries = deque((f"?{self._speed_query}", _SLOW_QUERIES[self._slow]))
         self._slow = (self._slow + 1) % len(_SLOW_QUERIES)
 
     def _failed(self, now_s: float) -> None:

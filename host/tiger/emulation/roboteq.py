@@ -5,7 +5,7 @@ r"""An emulated Roboteq HBL2360 motor controller: bytes in, bytes out, a virtual
     drive.run(1000)                               # 1 ms passes; bytes arrive, answers leave, at 115200 baud
     drive.transmit()                              # bytes whose stop bit has left since the last call
     drive.motor_rpm                               # (2,) what the motors are driven to: the world's command
-    drive.feedback(speed_rpm, current_a)          # (2,) each: what ?S and ?A report
+    drive.feedback(speed_rpm, current_a)          # (2,) each: what ?S (or ?BS) and ?A report
     drive.estop_input = True                      # the contact on its e-stop input
     drive.reboot()                                # power cycle: only what %EESAV saved survives
 
@@ -309,7 +309,7 @@ class Roboteq:
             return [round(10.0 * abs(c * share)) for c, share in zip(currents, shares, strict=True)]
         if name == "V":  # driver supply and battery, 0.1 V; 5 V output, mV
             return [120, round(10.0 * self.battery_v), 5000]
-        if name == "S":
+        if name in ("S", "BS"):
             return [round(speed) for speed in self._speed_rpm]
         if name == "CIS":  # the speeds that it was given, 1/1000 of full scale
             full_scale = self._settings["MXRPM"]

@@ -375,6 +375,19 @@ def test_without_read_back_the_echo_alone_confirms() -> None:
     assert not any(b"CIS" in out for out in bench.sent)
 
 
+def test_speeds_are_asked_of_the_sensors_that_the_motors_have() -> None:
+    bench = Bench()
+    bench.driver = Driver("roboteq (left)", "/dev/left", WATCHDOG_MS, 50.0, 20.0, speed_query="BS")
+    bench.driver.connected(0.0)
+    bench.started()
+    bench.run(500, command=(20.0, 25.0))
+    assert bench.driver.sample is not None
+    assert bench.driver.sample.wheel_rpm == (20.0, 25.0)
+    asked = {line for out in bench.sent for line in out.split(b"\r")}
+    assert b"?BS" in asked
+    assert b"?S" not in asked
+
+
 def _commands(bench: Bench) -> list[bytes]:
     """What was sent of the lines that feed the watchdog."""
     return [line for out in bench.sent for line in out.split(b"\r") if line.startswith(b"!")]
