@@ -37,7 +37,7 @@ def _explain(finding: object, source: str) -> str:
     parts = [str(part) for part in finding["loc"]]
     if len(parts) > 2 and parts[0] == "actuator" and parts[1] in ("rate", "force"):
         del parts[1]
-    key = ".".join(parts) or "the file"
+    key = ".".join(parts)
     kind, message = finding["type"], str(finding["msg"])
     step = _NEXT_STEP.get(kind, "correct the value")
     if kind == "missing":
@@ -46,4 +46,7 @@ def _explain(finding: object, source: str) -> str:
         return f"{source}: {key} is not a known key; {step}"
     value = "" if isinstance(finding["input"], dict) else f" = {finding['input']!r}"
     message = message.removeprefix("Value error, ")
-    return f"{source}: {key}{value}: {message[:1].lower()}{message[1:]}; {step}"
+    message = f"{message[:1].lower()}{message[1:]}"
+    if not parts:  # keys that contradict each other: the message says what to do
+        return f"{source}: {message}"
+    return f"{source}: {key}{value}: {message}; {step}"

@@ -6,13 +6,13 @@ Every wrong key is reported at once, each with its value, its limit and the next
 
 from __future__ import annotations
 
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from tiger.config import toml
 from tiger.config.errors import ConfigError
 from tiger.config.vehicle import NonNegative, Positive, RateActuatorConfig, VehicleConfig, load_vehicle
 
@@ -459,11 +459,11 @@ def load_robot(path: str | Path | None = None) -> RobotConfig:
 
     A vehicle file named in it is relative to it. Raises ConfigError with one line for each wrong key.
     """
-    tables = tomllib.loads(default_robot_toml())
+    tables = toml.parsed(default_robot_toml(), "robot.toml")
     source, folder = "robot.toml", Path()
     if path is not None:
         source, folder = str(path), Path(path).parent
-        tables = _laid_over(tables, _read(Path(path)))
+        tables = _laid_over(tables, toml.read(path))
     wrong: list[str] = []
     try:
         tables["vehicle"] = _vehicle(tables["vehicle"], source, folder)
@@ -477,15 +477,6 @@ def load_robot(path: str | Path | None = None) -> RobotConfig:
     if wrong:
         raise ConfigError(wrong)
     return robot
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error}); check the path") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: is not valid TOML ({error}); correct that line") from error
 
 
 def _laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

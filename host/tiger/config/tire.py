@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from importlib import resources
 from math import atan, sin
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Annotated, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from tiger.config import toml
 from tiger.config.errors import ConfigError
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
@@ -117,20 +117,15 @@ def _load(model: type[_Model], folder: str, name_or_path: str | Path) -> _Model:
     presets = resources.files("tiger.config") / "presets" / folder
     known = sorted(item.name.removesuffix(".toml") for item in presets.iterdir())
     source = str(name_or_path)
-    if isinstance(name_or_path, Path) or source.endswith(".toml") or "/" in source:
-        try:
-            text = Path(name_or_path).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{source}: cannot be read ({error}); check the path") from error
+    if toml.is_path(name_or_path):
+        tables = toml.read(name_or_path)
     elif source in known:
-        text = (presets / f"{source}.toml").read_text(encoding="utf-8")
+        tables = toml.read_preset(folder, source)
     else:
         raise ConfigError(
             f"{source!r} is not among the {folder}; use one of {', '.join(known)}, or a .toml path"
         )
     try:
-        return model.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{source}: is not valid TOML ({error}); correct that line") from error
+        return model.model_validate(tables)
     except ValidationError as error:
         raise ConfigError.from_validation(error, source) from error

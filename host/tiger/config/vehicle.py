@@ -7,13 +7,13 @@ units, except millimetres for the actuator's stroke and the mechanism's points; 
 
 from __future__ import annotations
 
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from tiger.config import toml
 from tiger.config.errors import ConfigError
 
 # Strict: neither "1.0" nor true is a number; a TOML integer is.
@@ -182,21 +182,11 @@ def load_vehicle(name_or_path: str | Path) -> VehicleConfig:
 
 def _read(name_or_path: str | Path) -> dict[str, Any]:
     source = str(name_or_path)
-    if isinstance(name_or_path, Path) or source.endswith(".toml") or "/" in source:
-        try:
-            text = Path(name_or_path).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{source}: cannot be read ({error}); check the path") from error
-    elif source in preset_names():
-        text = (resources.files("tiger.config") / "presets" / f"{source}.toml").read_text(encoding="utf-8")
-    else:
-        raise ConfigError(
-            f"vehicle {source!r} is not known; {_known_presets()}, or give a path to a .toml file"
-        )
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{source}: is not valid TOML ({error}); correct that line") from error
+    if toml.is_path(name_or_path):
+        return toml.read(name_or_path)
+    if source in preset_names():
+        return toml.read_preset(source)
+    raise ConfigError(f"vehicle {source!r} is not known; {_known_presets()}, or give a path to a .toml file")
 
 
 def _known_presets() -> str:

@@ -38,6 +38,7 @@ class Failure(NamedTuple):
 
     begin: Callable[[float], None]
     end: Callable[[float], None]
+    needs_value: bool = False
 
 
 def table_of_failures(robot: EmulatedRobot) -> Failures:
@@ -112,9 +113,13 @@ class Plan:
             failure = failures.get((event.target, event.kind))
             if failure is None:
                 raise ConfigError(_unknown(event, failures))
-            self._due.append((round(event.at_s * 1e6), failure.begin, event.value))
+            if failure.needs_value and event.value is None:
+                wanting = f"fault at {event.at_s:g} s: {event.kind!r} of {event.target!r}"
+                raise ConfigError(f"{wanting} needs a number; add `value = ...`")
+            value = event.value or 0.0
+            self._due.append((round(event.at_s * 1e6), failure.begin, value))
             if event.for_s is not None:
-                self._due.append((round((event.at_s + event.for_s) * 1e6), failure.end, event.value))
+                self._due.append((round((event.at_s + event.for_s) * 1e6), failure.end, value))
         self._due.sort(key=lambda entry: -entry[0])  # the next one is popped off the end
 
     @property
@@ -169,7 +174,7 @@ def _bits(set_to: Callable[[int], object]) -> Failure:
     def end(_: float) -> None:
         set_to(0)
 
-    return Failure(begin, end)
+    return Failure(begin, end, needs_value=True)
 
 
 def _number(owner: object, name: str, always: float | None = None) -> Failure:
@@ -182,4 +187,4 @@ def _number(owner: object, name: str, always: float | None = None) -> Failure:
     def end(_: float) -> None:
         setattr(owner, name, normal)
 
-    return Failure(begin, end)
+    return Failure(begin, end, needs_value=always is None)

@@ -91,14 +91,13 @@ A scenario is a TOML file, loaded by the name of one that comes with the package
     target = "suspension"
     kind = "silence"
     for_s = 1.0               # left out: for good
-    value = 0.0               # what the kind needs, if anything
+    value = 20.0              # for kinds that need one
 
 Segments of one axis must not overlap; between them the axis stands still.
 """
 
 from __future__ import annotations
 
-import tomllib
 from bisect import bisect_right
 from importlib import resources
 from itertools import pairwise
@@ -108,6 +107,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from tiger.config import toml
 from tiger.config.errors import ConfigError
 from tiger.config.vehicle import PayloadConfig
 
@@ -278,7 +278,7 @@ class FaultEvent(_Section):
     target: str
     kind: str
     for_s: Positive | None = None
-    value: Finite = 0.0
+    value: Finite | None = None
 
 
 class Scenario(_Section):
@@ -414,20 +414,12 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 def _read(name_or_path: str | Path) -> dict[str, Any]:
     source = str(name_or_path)
-    if isinstance(name_or_path, Path) or source.endswith(".toml") or "/" in source:
-        try:
-            text = Path(name_or_path).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{source}: cannot be read ({error}); check the path") from error
-    elif source in scenario_names():
-        folder = resources.files("tiger.emulation") / "scenarios"
-        text = (folder / f"{source}.toml").read_text(encoding="utf-8")
-    else:
-        raise ConfigError(
-            f"scenario {source!r} is not known; use one of {', '.join(scenario_names())}, "
-            "or give a path to a .toml file"
-        )
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{source}: is not valid TOML ({error}); correct that line") from error
+    if toml.is_path(name_or_path):
+        return toml.read(name_or_path)
+    if source in scenario_names():
+        packaged = resources.files("tiger.emulation") / "scenarios" / f"{source}.toml"
+        return toml.parsed(packaged.read_text(encoding="utf-8"), source)
+    raise ConfigError(
+        f"scenario {source!r} is not known; use one of {', '.join(scenario_names())}, "
+        "or give a path to a .toml file"
+    )

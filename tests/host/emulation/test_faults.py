@@ -67,6 +67,11 @@ def test_an_unknown_kind_is_refused_with_those_the_target_knows() -> None:
         robot(fault("nano_imu", "melt"))
 
 
+def test_a_fault_without_the_number_it_needs_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"'battery_v' of 'roboteq_left' needs a number; add `value = ...`"):
+        robot(fault("roboteq_left", "battery_v"))
+
+
 def test_every_failure_of_the_table_begins_and_ends_on_a_running_robot() -> None:
     broken = robot()
     for failure in table_of_failures(broken).values():

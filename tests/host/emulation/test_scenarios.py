@@ -111,11 +111,8 @@ def test_faults_and_start_are_read(tmp_path: Path) -> None:
     )
     assert scenario.initial_stroke_mm == (0.0, 10.0, 20.0, 70.0)
     assert not scenario.sensor_noise
-    assert (scenario.fault[0].target, scenario.fault[0].for_s, scenario.fault[0].value) == (
-        "nano_imu",
-        1.0,
-        0.0,
-    )
+    fault = scenario.fault[0]
+    assert (fault.target, fault.for_s, fault.value) == ("nano_imu", 1.0, None)
 
 
 def test_ground_start_payload_and_drive_are_read(tmp_path: Path) -> None:
