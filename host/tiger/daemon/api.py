@@ -146,9 +146,11 @@ LONGEST_TEXT = 200
 
 def _explain(error: ValidationError) -> tuple[str, str]:
     """What is wrong with a request first of all, and the next step."""
-    finding = error.errors(include_url=False, include_context=False)[0]
-    where = ".".join(str(part) for part in finding["loc"][1:2])
-    text = f"{where}: {finding['msg']}" if where else finding["msg"]
+    finding, *more = error.errors(include_url=False, include_context=False)
+    key = finding["loc"][:2]
+    told = " or ".join([finding["msg"], *(other["msg"] for other in more if other["loc"][:2] == key)])
+    where = ".".join(str(part) for part in key[1:])
+    text = f"{where}: {told}" if where else told
     step = _NEXT_STEP.get(finding["type"], "Correct it")
     return text[:LONGEST_TEXT], f"{step}; docs/api.md lists every request."
 

@@ -82,7 +82,8 @@ def prepare(config: LoopConfig) -> list[str]:
         try:
             os.sched_setaffinity(0, {config.cpu})
         except OSError as error:
-            refused.append(f"loop.cpu = {config.cpu}: {error.strerror}")
+            cores = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
+            refused.append(f"loop.cpu = {config.cpu}: {error.strerror}; this program may use {cores}")
     if config.realtime_priority:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(config.realtime_priority))
