@@ -8,7 +8,7 @@ the speed of the IMU's place ahead (u) and to the left (v) in body axes (docs/od
     (p, q, r) = gyroscope - bias                         yaw'   = (q sin(roll) + r cos(roll))/cos(pitch)
 
 w follows from the ground the wheels stand on. The error of each, of the three gyro biases, two accelerometer
-offsets, the wheels' scale, Earth's field in the plane and the hard iron on board make 17 error states. Their
+offsets, the wheels' scale, Earth's field in the plane and the hard iron on board make 18 error states. Their
 covariance is carried forward every 40 ms by the linearised equations (Sola, Quaternion kinematics for the
 error-state Kalman filter, 2017, sections 5.3 and 6.1), and all that is measured then is taken in at once.
 """
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
 ERRORS = (
     *("x", "y", "yaw", "u", "v", "pitch", "roll", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y"),
-    *("scale", "field_x", "field_y", "iron_x", "iron_y"),
+    *("scale", "field_x", "field_y", "iron_x", "iron_y", "iron_z"),
 )
-X, Y, YAW, U, V, PITCH, ROLL, GX, GY, GZ, AX, AY, SCALE, FX, FY, HX, HY = range(len(ERRORS))
+X, Y, YAW, U, V, PITCH, ROLL, GX, GY, GZ, AX, AY, SCALE, FX, FY, HX, HY, HZ = range(len(ERRORS))
 N = len(ERRORS)
 
 _IDENTITY = np.eye(N)
@@ -64,7 +64,7 @@ class Learned:
     accel_bias_mps2: tuple[float, float] = (0.0, 0.0)
     scale: float = 0.0  # how much more than the wheels say is travelled
     field_ut: tuple[float, float] = (0.0, 0.0)
-    iron_ut: tuple[float, float] = (0.0, 0.0)
+    iron_ut: Three = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ def make_noise(config: OdometryConfig) -> Noise:
     start[[AX, AY]] = config.start_accel_bias_mps2
     start[SCALE] = config.wheel_scale_sigma
     start[[FX, FY]] = config.start_field_ut
-    start[[HX, HY]] = config.start_iron_ut
+    start[[HX, HY, HZ]] = config.start_iron_ut
     return Noise(np.diag(walk**2), np.diag(start**2))
 
 
@@ -196,15 +196,15 @@ def correct(covariance: Array, measured: Sequence[Measurement]) -> tuple[Array, 
 def put_right(motion: Motion, errors: Array) -> Motion:
     """The nominal state without the errors found, (N,)."""
     m, known = motion, motion.learned
-    x, y, yaw, u, v, pitch, roll, gx, gy, gz, ax, ay, scale, fx, fy, hx, hy = errors.tolist()
+    x, y, yaw, u, v, pitch, roll, gx, gy, gz, ax, ay, scale, fx, fy, hx, hy, hz = errors.tolist()
     (bx, by, bz), (a, b) = known.gyro_bias_radps, known.accel_bias_mps2
-    (north, west), (iron_x, iron_y) = known.field_ut, known.iron_ut
+    (north, west), (iron_x, iron_y, iron_z) = known.field_ut, known.iron_ut
     learned = Learned(
         (bx + gx, by + gy, bz + gz),
         (a + ax, b + ay),
         known.scale + scale,
         (north + fx, west + fy),
-        (iron_x + hx, iron_y + hy),
+        (iron_x + hx, iron_y + hy, iron_z + hz),
     )
     return Motion(
         m.x_m + x,

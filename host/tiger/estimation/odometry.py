@@ -22,6 +22,7 @@ from tiger.estimation.inertial import (
     GZ,
     HX,
     HY,
+    HZ,
     PITCH,
     ROLL,
     SCALE,
@@ -372,14 +373,16 @@ def _with_field(
 ) -> tuple[Motion, Magnetic, list[Measurement]]:
     """Look at a magnetometer sample, turned level; the first one is what Earth's field is taken for.
 
-    It is Earth's field turned by the yaw, and what the robot itself carries; an error of roll or pitch mixes
-    in the vertical field. A field whose vertical part or direction is not as expected is left out.
+    It is Earth's field turned by the yaw, and what the robot itself carries, which tilts with it; an error of
+    roll or pitch mixes in the vertical field. A field whose vertical part or direction is not as expected is
+    left out.
     """
     sin_roll, cos_roll = sin(motion.roll_rad), cos(motion.roll_rad)
     sin_pitch, cos_pitch = sin(motion.pitch_rad), cos(motion.pitch_rad)
     yaw_rad = motion.yaw_rad - config.mag_lag_s * motion.rate_radps[2]
     cos_yaw, sin_yaw = cos(yaw_rad), sin(yaw_rad)
-    x, y, z = mag_ut
+    (x, y, z), (iron_x, iron_y, iron_z) = mag_ut, motion.learned.iron_ut
+    x, y, z = x - iron_x, y - iron_y, z - iron_z
     level_y = cos_roll * y - sin_roll * z
     down = sin_roll * y + cos_roll * z
     level_x, up = cos_pitch * x + sin_pitch * down, cos_pitch * down - sin_pitch * x
@@ -387,15 +390,16 @@ def _with_field(
         field_ut = (cos_yaw * level_x - sin_yaw * level_y, sin_yaw * level_x + cos_yaw * level_y)
         learned = replace(motion.learned, field_ut=field_ut)
         return replace(motion, learned=learned), Magnetic(mag_ut, up, found=True), []
-    (north, west), (iron_x, iron_y) = motion.learned.field_ut, motion.learned.iron_ut
+    north, west = motion.learned.field_ut
     ahead, left = cos_yaw * north + sin_yaw * west, cos_yaw * west - sin_yaw * north
-    misses, gate = (level_x - ahead - iron_x, level_y - left - iron_y), config.mag_gate_sigmas
+    misses, gate = (level_x - ahead, level_y - left), config.mag_gate_sigmas
     magnetic = _doubted(config, magnetic, mag_ut, misses, up - magnetic.up_ut, dt)
     if magnetic.doubted_s > 0.0:
         return motion, magnetic, []
     variance = config.mag_noise_ut**2
-    along = {YAW: left, FX: cos_yaw, FY: sin_yaw, HX: 1.0, PITCH: -up}
-    across = {YAW: -ahead, FX: -sin_yaw, FY: cos_yaw, HY: 1.0, ROLL: up}
+    along = {YAW: left, FX: cos_yaw, FY: sin_yaw, PITCH: -up}
+    along |= {HX: cos_pitch, HY: sin_pitch * sin_roll, HZ: sin_pitch * cos_roll}
+    across = {YAW: -ahead, FX: -sin_yaw, FY: cos_yaw, HY: cos_roll, HZ: -sin_roll, ROLL: up}
     measured = [Measurement(along, misses[0], variance, gate), Measurement(across, misses[1], variance, gate)]
     return motion, magnetic, measured
 
