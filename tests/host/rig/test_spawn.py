@@ -10,12 +10,8 @@ import time
 from tiger.rig.spawn import start_undisturbed
 
 
-def nap(seconds: float) -> None:
-    time.sleep(seconds)
-
-
 def test_sigint_does_not_reach_the_child_and_the_parent_still_takes_it() -> None:
-    process = multiprocessing.get_context("spawn").Process(target=nap, args=(0.3,))
+    process = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(0.3,))
     start_undisturbed(process)
     assert process.pid is not None
     os.kill(process.pid, signal.SIGINT)  # while Python is still being loaded, where it would be a traceback
