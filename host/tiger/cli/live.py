@@ -246,6 +246,8 @@ class ScreenProcess:
     def __init__(self, title: str) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
+        self._asked = select.poll()  # the pipe's own poll() makes one of these each time
+        self._asked.register(self._pipe.fileno(), select.POLLIN)
         self._terminal = _settings()
         self._process = context.Process(target=_draw, args=(theirs, title), daemon=True)
         start_undisturbed(self._process)
@@ -271,7 +273,7 @@ class ScreenProcess:
         """Hand over the newest record and its overview if one was asked for; returns the keys pressed."""
         keys = ""
         try:
-            while self._pipe.poll():
+            while self._asked.poll(0):
                 keys += self._pipe.recv()
                 self._pipe.send((record, look(record), log_lines))
         except (OSError, EOFError):  # the screen is gone; the robot goes on

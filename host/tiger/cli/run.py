@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from tiger.logs.session import LogSession
     from tiger.rig.separate import SeparateRobot
 
-JOURNAL_HZ = 100.0
+JOURNAL_HZ = 50.0
 ARM_PATIENCE_S = 30.0
 LEVEL_BAND_DEG = 0.5
 

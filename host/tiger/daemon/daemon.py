@@ -321,13 +321,20 @@ class Daemon:
             faults += self._resets
             if faults:
                 self.latched = tuple(faults)
-        boards_open = any(port.link is not None for port in self.boards.ports.values())
-        drives_open = all(drive.connection.is_open for drive in self.drives)
-        complete = self.boards.complete
+        missing, complete = True, self.boards.complete
+        for port in self.boards.ports.values():
+            if port.link is not None:
+                missing = is_armed and not complete
+                break
+        unknown, estop = not complete, self._board_state is BoardState.ESTOP
+        for drive in self.drives:  # every tick: no generators
+            missing = missing or not drive.connection.is_open
+            unknown = unknown or not drive.known
+            estop = estop or bool(drive.driver.flags["FF"] & DRIVE_ESTOP)
         return Facts(
-            missing=not (boards_open and drives_open) or (is_armed and not complete),
-            unknown=not (complete and all(drive.known for drive in self.drives)),
-            estop=self._estop_pressed(),
+            missing=missing,
+            unknown=unknown,
+            estop=estop,
             fault=bool(faults),
             armed=self._all_armed(),
             disarm=self._disarm,
@@ -342,11 +349,6 @@ class Daemon:
         for drive in self.drives:
             faults += limits.drive_faults(drive.driver)
         return faults
-
-    def _estop_pressed(self) -> bool:
-        if self._board_state is BoardState.ESTOP:
-            return True
-        return any(drive.driver.flags["FF"] & DRIVE_ESTOP for drive in self.drives)
 
     def _all_armed(self) -> bool:
         """Whether every device that moves something is armed, and the suspension saw neutral commands."""

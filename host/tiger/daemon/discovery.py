@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from tiger.devices.ports import PortProvider
     from tiger.protocol.link import Session
 
-LOOK_PERIOD_S = 0.5
+LOOK_PERIOD_S = 0.5  # while a board is missing ...
+LOOK_AGAIN_S = 2.0  # ... and when all are there
 ANSWER_TIME_S = 2.5  # a Mega that was reset by the opening of its port needs two seconds to speak
 GRACE_S = 6.0  # before a board is called missing
 BAUDS = tuple(dict.fromkeys(BAUD[link] for link, boards in LINK_BOARDS.items() if link.endswith("_usb")))
@@ -99,7 +100,7 @@ class Boards:
     def step(self, now_s: float) -> None:
         """Look for new ports, open what is due, and see who is where."""
         if now_s >= self._look_s:
-            self._look_s = now_s + LOOK_PERIOD_S
+            self._look_s = now_s + (LOOK_AGAIN_S if self.complete else LOOK_PERIOD_S)
             self._look()
         for port in self.ports.values():
             port.step(now_s)

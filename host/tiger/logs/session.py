@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 SOCKET_BYTES = 4_000_000  # asked for; the kernel's limit is net.core.wmem_max
 PENDING_BYTES = 100_000  # of the wire between two packets; a packet must fit into the socket
-TICKS_PER_PACKET = 8  # handing over costs more than packing: 40 ms of ticks go together
+TICKS_PER_PACKET = 12  # handing over costs more than packing: 60 ms of ticks go together
 FULL = (errno.EAGAIN, errno.EMSGSIZE, errno.ENOBUFS)  # the socket takes nothing now
 START_TIME_S = 20.0
 END_TIME_S = 20.0

@@ -166,7 +166,7 @@ def test_a_run_in_virtual_time_arms_and_writes_its_figures(
     report = json.loads(file.read_text())
     series = report["series"]
     lengths = {name: len(values) for name, values in series.items()}
-    assert set(lengths.values()) == {500}, lengths
+    assert set(lengths.values()) == {250}, lengths
     assert list(series) == [
         *("time_s", "roll_true_deg", "pitch_true_deg", "roll_est_deg", "pitch_est_deg"),
         *("stroke_mm", "rate_cmd_mmps"),
