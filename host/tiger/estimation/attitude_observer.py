@@ -168,15 +168,15 @@ def step(
         return _first(design, state, np.array(force), sample, tilt_error_rad)
     known = np.empty(design.tick.shape[1])
     known[: -len(force)], known[-len(force) :] = state.x, force
-    after = design.tick @ known
+    after = design.tick.dot(known)
     n = len(state.x)
     now, predicted = after[:n], (after[n:], *state.predicted[:-1])
     if sample is None or (ticks := max(0, round(age_s / design.period_s))) >= len(design.corrections):
         return ObserverState(now, predicted, ready=True), _estimate(design, now)
     innovation = _measured(sample, tilt_error_rad) - predicted[ticks]
     to_state, *to_predictions = design.corrections[ticks]
-    now = now + to_state @ innovation
-    corrected = [old + change @ innovation for old, change in zip(predicted, to_predictions, strict=False)]
+    now = now + to_state.dot(innovation)
+    corrected = [old + change.dot(innovation) for old, change in zip(predicted, to_predictions, strict=False)]
     state = ObserverState(now, (*corrected, *predicted[ticks:]), ready=True)
     return state, _estimate(design, now, tuple(innovation.tolist()))
 
