@@ -73,7 +73,6 @@ class SerialPort:
             self._serial.set_low_latency_mode(True)
         with contextlib.suppress(termios.error):
             self._keep_dtr()
-        self._serial.reset_input_buffer()
 
     def _keep_dtr(self) -> None:
         """Do not drop DTR on close: on an Arduino its next rise is a reset."""
