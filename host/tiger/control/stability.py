@@ -16,6 +16,7 @@ from tiger.control import motion_limits, tip_over, trip
 from tiger.control.motion_limits import Allowed, LimiterDesign, LimiterState
 from tiger.control.tip_over import Stance
 from tiger.control.trip import TripState
+from tiger.devices.imu import specific_force_mps2
 from tiger.frozen import dataclass, replace
 from tiger.models.eam import Eam
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
@@ -200,7 +201,7 @@ def _sampled(
 ) -> tuple[Motion, TripState]:
     """Take a new sample of the IMU."""
     config, rate, turn = design.config, imu.rate_radps, imu.angular_accel_radps2
-    force = x, y, z = tip_over.at_com(judged.stance, tip_over.specific_force_mps2(imu), rate, turn)
+    force = x, y, z = tip_over.at_com(judged.stance, specific_force_mps2(imu), rate, turn)
     if old.imu_t_s == -inf:
         now = (x, y, z, turn[0], turn[1])
         return Motion(imu.t_s, now, now, rate[:2], force, speed), tripping

@@ -25,7 +25,7 @@ from tiger.frozen import dataclass
 from tiger.models.full_car import GRAVITY_MPS2
 
 if TYPE_CHECKING:
-    from tiger.record import ImuSample, Three
+    from tiger.record import Three
 
 Edges = tuple[float, float, float, float]
 Contacts = tuple[tuple[float, float], tuple[float, float], tuple[float, float], tuple[float, float]]
@@ -66,18 +66,6 @@ class Stance:
     def least_energy(self) -> float:
         """Energy to tip at rest on level ground, of the easiest edge."""
         return GRAVITY_MPS2 * (hypot(min(self.reach_m), self.height_m) - self.height_m)
-
-
-def specific_force_mps2(imu: ImuSample) -> Three:
-    """What the IMU's accelerometer felt, body axes: its linear acceleration with the gravity put back in."""
-    w, x, y, z = imu.quaternion
-    ahead, left, up = imu.linear_accel_mps2
-    g = GRAVITY_MPS2
-    return (
-        ahead + 2.0 * g * (x * z - w * y),
-        left + 2.0 * g * (y * z + w * x),
-        up + g * (1.0 - 2.0 * (x * x + y * y)),
-    )
 
 
 def at_com(stance: Stance, force: Three, rate: Three, turn: Three) -> Three:

@@ -28,7 +28,7 @@ import numpy as np
 
 from tiger.control import traction
 from tiger.control.reachable import WARP
-from tiger.control.tip_over import specific_force_mps2
+from tiger.devices.imu import specific_force_mps2
 from tiger.estimation import payload, tilt_error
 from tiger.estimation.payload import Measured, PayloadDesign, PayloadState
 from tiger.frozen import dataclass

@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 from tiger.control import tip_over
 from tiger.control.tip_over import LEFT, Stance
+from tiger.devices.imu import specific_force_mps2
 from tiger.models.full_car import GRAVITY_MPS2 as G
 from tiger.record import ImuSample
 
@@ -36,7 +37,7 @@ def leaning(angle: float) -> tuple[float, float, float]:
 def test_the_gravity_comes_back_into_the_specific_force() -> None:
     half, none = math.radians(10.0) / 2.0, (0.0, 0.0, 0.0)
     nose_down = ImuSample(0.0, (math.cos(half), 0.0, math.sin(half), 0.0), none, none, none, 0)
-    force = tip_over.specific_force_mps2(nose_down)
+    force = specific_force_mps2(nose_down)
     assert force == pytest.approx((-G * math.sin(2.0 * half), 0.0, G * math.cos(2.0 * half)))
 
 

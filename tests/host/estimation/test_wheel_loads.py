@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tiger.config.robot import load_robot
 from tiger.config.vehicle import PayloadConfig
-from tiger.control.tip_over import specific_force_mps2
+from tiger.devices.imu import specific_force_mps2
 from tiger.emulation.scenarios import RoughConfig, Scenario, Start, TerrainConfig
 from tiger.estimation import wheel_loads
 from tiger.estimation.tilt_error import TiltError
