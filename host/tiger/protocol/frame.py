@@ -7,7 +7,7 @@ looked at further.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import crcmod.predefined
@@ -56,19 +56,21 @@ class FrameDecoder:
 
     def feed(self, data: bytes) -> list[Received]:
         """The messages that `data` completes, in order."""
+        return list(self.each(data))
+
+    def each(self, data: bytes) -> Iterator[Received]:
+        """As `feed`, one by one: what a message adds to `known` holds for those that come after it."""
         *chunks, rest = (self._partial + data).split(DELIMITER)
         # Of a chunk that is already too long, keep just enough to know that at its end.
         self._partial = rest[: MAX_CHUNK_BYTES + 1]
-        received = []
         for chunk in chunks:
             if chunk:  # the delimiters of two frames stand side by side
                 outcome = self._check(chunk)
                 if isinstance(outcome, Received):
                     self.frames += 1
-                    received.append(outcome)
+                    yield outcome
                 else:
                     self.rejects[outcome] += 1
-        return received
 
     def _check(self, chunk: bytes) -> Received | RejectCause:
         if not MIN_CHUNK_BYTES <= len(chunk) <= MAX_CHUNK_BYTES:

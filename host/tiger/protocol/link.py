@@ -174,11 +174,13 @@ class Session:
         self.say_hello()
 
     def _count(self, seq: int, now_s: float) -> None:
+        """Count a frame, and those missing before it: from the introduction on, for none was owed earlier."""
         self.frames += 1
         self.last_rx_s = now_s
         if self._last_seq is not None:
             self.seq_gaps += (seq - self._last_seq - 1) & 0xFF
-        self._last_seq = seq
+        if self.identity is not None:
+            self._last_seq = seq
 
     def _start_pings(self) -> None:
         self._ping_due_s = -math.inf
@@ -259,14 +261,16 @@ class Link:
     def feed(self, data: bytes, now_s: float) -> list[Event]:
         """Take bytes that arrived by `now_s`; returns what they mean, in order."""
         events: list[Event] = []
-        for seq, message in self.decoder.feed(data):
+        for seq, message in self.decoder.each(data):
             session = self.sessions.get(node_of(message))
             if session is None:
                 continue
-            session._count(seq, now_s)
             if isinstance(message, HelloReply):
                 events += self._introduced(session, message)
-            elif isinstance(message, Pong):
+                session._count(seq, now_s)
+                continue
+            session._count(seq, now_s)
+            if isinstance(message, Pong):
                 self._pong(session, message, now_s)
             elif isinstance(message, Ack):
                 self._ack(session, message)
@@ -292,6 +296,7 @@ class Link:
         session._hello_due_s = math.inf
         session.health = None
         session.clock.reset()
+        session._last_seq = None
         session._start_pings()
         if session.node == 0 and session.problem is None:
             self._extend(BoardKind(reply.board_kind))

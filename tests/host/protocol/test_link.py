@@ -229,6 +229,35 @@ def test_gaps_are_counted_for_each_board_by_itself(wire: Wire) -> None:
     assert (mega.seq_gaps, nano.seq_gaps) == (0, 3)
 
 
+def test_what_a_board_said_before_its_introduction_is_not_missing(wire: Wire) -> None:
+    wire.say(health())
+    wire.say(health(), skip=7)  # cut as the port was opened
+    wire.introduce(BoardKind.MEGA_SUSPENSION)
+    wire.say(RAW)
+    wire.say(RAW, skip=2)
+    wire.say(reply(BoardKind.NANO_IMU), skip=5)
+    mega, nano = wire.link.sessions[0], wire.link.sessions[1]
+    assert (mega.seq_gaps, nano.seq_gaps) == (0, 0)
+    wire.say(RAW, skip=2)
+    assert (mega.seq_gaps, nano.seq_gaps) == (0, 2)
+
+
+def test_telemetry_in_one_piece_with_the_introduction_counts(wire: Wire) -> None:
+    said = b"".join(encode_message(m, seq) for seq, m in enumerate((reply(), WHEELS, WHEELS)))
+    events = wire.link.feed(said, wire.now_s)
+    assert [type(event) for event in events] == [Identified, Telemetry, Telemetry]
+    assert sum(wire.link.decoder.rejects) == 0
+    assert wire.link.sessions[0].seq_gaps == 0
+
+
+def test_a_reset_is_no_gap(wire: Wire) -> None:
+    wire.introduce()
+    wire.say(health())
+    wire.say(reply(boot_count=4), skip=100)
+    wire.say(health())
+    assert wire.link.sessions[0].seq_gaps == 0
+
+
 # ----------------------------------------------------------------------------------------------------- config
 
 
