@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from tiger.cli.main import app
+from tiger.cli.commands import app
 
 HEAD = 'title = "Faults"\nduration_s = 7.0\nmodel = "linear"\n'
 

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from tiger.calibration import station
-from tiger.cli.main import app
+from tiger.cli.commands import app
 from tiger.daemon import discovery
 
 if TYPE_CHECKING:

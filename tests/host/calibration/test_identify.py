@@ -23,7 +23,7 @@ from tiger.calibration.identify import (
     identify,
     read,
 )
-from tiger.cli.main import app
+from tiger.cli.commands import app
 from tiger.config.robot import RobotConfig, load_robot
 from tiger.daemon.daemon import Daemon
 from tiger.emulation.scenarios import Scenario

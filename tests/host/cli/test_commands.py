@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from tiger.cli import doctor
-from tiger.cli import main as main_module
-from tiger.cli.main import COMMANDS, app
+from tiger.cli import commands, doctor
+from tiger.cli.commands import COMMANDS, app
 from tiger.cli.study import STUDIES
 from tiger.protocol.frame import encode_message
 from tiger.protocol.messages import BoardState, Fault, Health, SuspensionSetpoint, SuspensionState
@@ -103,16 +102,37 @@ def test_a_mistake_of_the_program_is_two_lines_and_a_status_of_its_own(
         raise ZeroDivisionError("of all things")
 
     monkeypatch.delenv("TIGER_TRACEBACK", raising=False)
-    monkeypatch.setattr(main_module, "app", broken)
+    monkeypatch.setattr(commands, "app", broken)
     with pytest.raises(SystemExit) as ended:
-        main_module.main()
-    assert ended.value.code == main_module.MISTAKE
+        commands.obey()
+    assert ended.value.code == commands.MISTAKE
     said = capsys.readouterr().err
     assert "ZeroDivisionError: of all things" in said
     assert said.count("\n") == 2
     monkeypatch.setenv("TIGER_TRACEBACK", "1")
     with pytest.raises(ZeroDivisionError):
-        main_module.main()
+        commands.obey()
+
+
+INTERRUPTED_WHILE_IMPORTING = """
+import signal, sys
+class CtrlC:
+    def find_spec(self, name, *_):
+        if name == module:
+            sys.meta_path.remove(self)
+            signal.raise_signal(signal.SIGINT)
+module = sys.argv.pop(1)
+sys.meta_path.insert(0, CtrlC())
+from tiger.cli.main import main
+main()
+"""
+
+
+@pytest.mark.parametrize("module", ["tiger.cli.commands", "typer", "tiger.cli.log", "tiger.logs.summary"])
+def test_ctrl_c_while_python_still_imports_ends_quietly(module: str) -> None:
+    command = [sys.executable, "-c", INTERRUPTED_WHILE_IMPORTING, module, "log", "info", "/no/such"]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert (result.returncode, result.stdout, result.stderr.strip()) == (130, "", "")
 
 
 # ------------------------------------------------------------------------------------------------------ study

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from tiger.cli.main import app
+from tiger.cli.commands import app
 from tiger.cli.teleop import (
     ABS,
     AXES,
