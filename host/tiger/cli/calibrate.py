@@ -254,7 +254,7 @@ def _rig(robot: RobotConfig, scenario: str, seed: int) -> Rig:
     from tiger.emulation.scenarios import load_scenario
     from tiger.rig.virtual import Rig
 
-    return Rig(robot, load_scenario(scenario), seed)
+    return Rig(robot, load_scenario(scenario, robot.drive), seed)
 
 
 def _load(wishes: _Wishes) -> RobotConfig:

@@ -444,16 +444,15 @@ def _run_virtual(robot: RobotConfig, scenario_name: str, seed: int, wishes: Wish
     from contextlib import nullcontext
 
     from tiger.cli.live import FRAMES_PER_S, Screen, is_terminal
-    from tiger.daemon.daemon import Daemon
     from tiger.emulation.scenarios import load_scenario
     from tiger.rig.virtual import Rig
 
-    scenario = load_scenario(scenario_name)
+    scenario = load_scenario(scenario_name, robot.drive)
     with starting("the emulated robot starts"):
         rig = Rig(robot, scenario, seed)
     log = _Log(wishes.log_folder, rig.config, rig.clock)
     if wishes.log_folder is not None:
-        rig.daemon = Daemon(rig.config, log.tap(rig.ports), rig.clock, nonce=seed + 1)
+        rig.connect(log.tap(rig.ports))
     journal, driver, printer = Journal(), _Driver(rig.daemon, wishes), _Printer()
     look = _overseer(robot, rig.daemon)
     every = max(round(robot.loop.rate_hz / JOURNAL_HZ), 1)
@@ -486,7 +485,7 @@ def _run_emulated(
     from tiger.emulation.scenarios import load_scenario
     from tiger.rig.separate import SeparateRobot
 
-    scenario = load_scenario(scenario_name)
+    scenario = load_scenario(scenario_name, robot.drive)
     if wishes.duration_s is None:
         wishes.duration_s = scenario.duration_s
     with contextlib.ExitStack() as stack:

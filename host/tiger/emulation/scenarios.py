@@ -103,13 +103,18 @@ from importlib import resources
 from itertools import pairwise
 from math import cos, inf, pi, radians, sin
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from tiger.config import toml
 from tiger.config.errors import ConfigError
 from tiger.config.vehicle import PayloadConfig
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tiger.config.robot import DriveControlConfig
 
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
@@ -401,15 +406,40 @@ def scenario_names() -> tuple[str, ...]:
     return tuple(sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith(".toml")))
 
 
-def load_scenario(name_or_path: str | Path) -> Scenario:
+def load_scenario(name_or_path: str | Path, drive: DriveControlConfig | None = None) -> Scenario:
     """Load a scenario by name, or a TOML file by path (a name that ends in .toml or has a slash is a path).
 
+    With the robot's `drive`, a drive beyond its limits is refused too: the robot would quietly drive slower.
     Raises ConfigError: one line per wrong key, with the key's path, the value, the limit and the next step.
     """
     try:
-        return Scenario.model_validate(_read(name_or_path))
+        scenario = Scenario.model_validate(_read(name_or_path))
     except ValidationError as error:
         raise ConfigError.from_validation(error, str(name_or_path)) from error
+    wrong = [] if drive is None else [f"{name_or_path}: {text}" for text in _beyond(scenario, drive)]
+    if wrong:
+        raise ConfigError(wrong)
+    return scenario
+
+
+def _beyond(scenario: Scenario, drive: DriveControlConfig) -> Iterator[str]:
+    """What a scenario's drive asks for beyond the robot's limits."""
+    asked = [
+        (f"{table}.{number}.{key}", value, key)
+        for table, events in (("drive", scenario.drive), ("waypoint", scenario.waypoint))
+        for number, event in enumerate(events)
+        for key in ("speed_mps", "yaw_rate_degps")
+        if (value := getattr(event, key, None)) is not None
+    ]
+    if scenario.waypoint:
+        asked.append(("route.max_yaw_rate_degps", scenario.route.max_yaw_rate_degps, "yaw_rate_degps"))
+    most = {"speed_mps": drive.max_speed_mps, "yaw_rate_degps": drive.max_yaw_rate_degps}
+    for where, value, key in asked:
+        if abs(value) > most[key]:
+            yield (
+                f"{where} = {value:g}: is beyond ±{most[key]:g}, drive.max_{key} of the robot; "
+                "ask for less, or raise that in its robot.toml"
+            )
 
 
 def _read(name_or_path: str | Path) -> dict[str, Any]:

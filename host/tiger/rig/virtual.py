@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from tiger.config.robot import RobotConfig
+    from tiger.devices.ports import PortProvider
     from tiger.emulation.scenarios import Scenario
     from tiger.record import Record
 
@@ -46,11 +47,16 @@ class Rig:
         self.clock = VirtualClock()
         self.robot = EmulatedRobot(config.vehicle, scenario, seed, noise)
         self.ports = CablePorts(self.robot.cables)
-        self.daemon = Daemon(self.config, self.ports, self.clock, nonce=seed + 1)
-        self.drive = PlannedDrive(scenario, self.daemon, self._true_pose)
+        self._scenario, self._seed = scenario, seed
+        self.connect(self.ports)
         self._believed = NOWHERE
         self.hung = False  # a daemon that hangs: time passes, nothing is read or written
         self._steps_per_tick = round(config.loop.period_s * 1e6 / STEP_US)
+
+    def connect(self, ports: PortProvider) -> None:
+        """Begin with a new daemon behind these ports, such as the robot's own with a log at them."""
+        self.daemon = Daemon(self.config, ports, self.clock, nonce=self._seed + 1)
+        self.drive = PlannedDrive(self._scenario, self.daemon, self._true_pose)
 
     @property
     def time_s(self) -> float:

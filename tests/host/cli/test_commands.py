@@ -203,6 +203,20 @@ def test_a_run_in_virtual_time_arms_and_writes_its_figures(
     assert report["summary"]["log"] is None
 
 
+def test_a_planned_drive_is_driven_with_a_log_as_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario, figures = tmp_path / "ahead.toml", tmp_path / "out.json"
+    scenario.write_text('title = "t"\nduration_s = 8.0\n[[drive]]\nat_s = 5.0\nspeed_mps = 0.3\n')
+    words = ["run", "--emulate", str(scenario), "--virtual-time", "--json", str(figures)]
+    reached_m = []
+    for more in ([], ["--log", str(tmp_path / "logs")]):
+        assert tiger(*words, *more, monkeypatch=monkeypatch).exit_code == 0
+        reached_m.append(json.loads(figures.read_text())["series"]["x_m"][-1])
+    assert reached_m[0] > 0.3
+    assert reached_m[1] == reached_m[0]
+
+
 def test_json_to_the_screen_is_all_there_is_on_standard_output() -> None:
     words = ["run", "--emulate", "shaking-plate", "--virtual-time", "--duration", "0.2", "--json", "-"]
     result = subprocess.run(
@@ -259,6 +273,17 @@ def test_a_wrong_wish_is_answered_in_one_message(
     assert result.exit_code == 2
     assert message in result.output
     assert "Traceback" not in result.output
+
+
+@pytest.mark.parametrize("pace", [[], ["--virtual-time"]])
+def test_a_scenario_that_drives_faster_than_the_robot_may_is_refused(
+    pace: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "fast.toml"
+    file.write_text('title = "t"\nduration_s = 9.0\n[[drive]]\nat_s = 5.0\nspeed_mps = 30.0\n')
+    result = tiger("run", "--emulate", str(file), *pace, monkeypatch=monkeypatch)
+    assert result.exit_code == 2
+    assert f"{file}: drive.0.speed_mps = 30: is beyond ±3, drive.max_speed_mps" in result.output
 
 
 def test_a_robot_that_is_not_there_is_described_and_fails_only_if_it_should_have_armed(

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tiger.config.errors import ConfigError
+from tiger.config.robot import load_robot
 from tiger.emulation.ground import make_terrain
 from tiger.emulation.scenarios import PlateAxis, Scenario, TerrainConfig, load_scenario, scenario_names
 from tiger.models.road import LEFT, RIGHT, iso_road
@@ -217,6 +218,39 @@ def test_a_wrong_file_is_told_its_key_value_and_next_step(tmp_path: Path, text: 
     with pytest.raises(ConfigError) as caught:
         load_scenario(write(tmp_path, text))
     assert said in str(caught.value)
+
+
+ROUTE = "[route]\nmax_yaw_rate_degps = {}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (HEAD + DRIVE.replace("0.5", "3.1"), "drive.0.speed_mps = 3.1: is beyond ±3, drive.max_speed_mps"),
+        (HEAD + DRIVE.replace("0.5", "-3.1"), "drive.0.speed_mps = -3.1"),
+        (
+            HEAD + DRIVE.replace("degps = 5.0", "degps = -90.5"),
+            "drive.0.yaw_rate_degps = -90.5: is beyond",
+        ),
+        (HEAD + WAYPOINT.replace("0.5", "9.0"), "waypoint.0.speed_mps = 9: is beyond ±3"),
+        (HEAD + WAYPOINT + ROUTE.format(91.0), "route.max_yaw_rate_degps = 91: is beyond ±90"),
+    ],
+)
+def test_a_drive_beyond_the_robots_own_limits_is_refused_with_both(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(ConfigError) as caught:
+        load_scenario(path, load_robot(None).drive)
+    assert str(caught.value).startswith(f"{path}: {said}")
+    assert "ask for less" in str(caught.value)
+    load_scenario(path)  # behind `tiger emulate`, whoever runs the daemon drives
+
+
+@pytest.mark.parametrize("speed_mps", ["3.0", "-3.0"])
+def test_a_drive_at_the_robots_limits_is_driven(tmp_path: Path, speed_mps: str) -> None:
+    text = HEAD + DRIVE.replace("0.5", speed_mps).replace("degps = 5.0", "degps = 90.0")
+    assert load_scenario(write(tmp_path, text), load_robot(None).drive).drive[0].speed_mps == float(speed_mps)
 
 
 def test_an_unknown_name_is_answered_with_the_known_ones() -> None:
