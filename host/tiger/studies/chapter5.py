@@ -1,4 +1,4 @@
-"""What the three studies of section 5.2 share: the car, its speed hold, and the look of their plots."""
+"""What the three studies of section 5.2 share: the car, its speed hold, and how it is driven."""
 
 from __future__ import annotations
 
@@ -11,18 +11,17 @@ from tiger.config.vehicle import load_vehicle
 from tiger.models.full_car import GRAVITY_MPS2
 from tiger.models.vehicle import Inputs
 from tiger.models.vehicle_kernel import VELOCITY
+from tiger.studies.report import unwatched
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
+    from collections.abc import Callable
 
     from tiger.config.vehicle import VehicleConfig
     from tiger.models.vehicle import History, Vehicle
-    from tiger.studies.report import Report
+    from tiger.studies.report import Progress
 
 Array = NDArray[np.float64]
 
-CORNERS = ("FL", "FR", "RL", "RR")
 KMH_TO_MPS = 1.0 / 3.6
 CONTROL_PERIOD_S = 1e-3
 
@@ -77,7 +76,7 @@ def drive(
     duration_s: float,
     dt_s: float,
     act: Callable[[float, Array, Inputs], None],
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = unwatched,
 ) -> tuple[History, Array]:
     """Run `plant` under a controller that acts every millisecond; return samples and inputs at its instants.
 
@@ -95,7 +94,7 @@ def drive(
         act(k * CONTROL_PERIOD_S, state, inputs)
         table[k] = inputs.vector
         plant.step(state, inputs, dt_s, substeps)
-        if progress is not None and k % 500 == 0:
+        if k % 500 == 0:
             progress(k / ticks)
     return plant.simulate(start, table, duration_s, dt_s, substeps), table
 
@@ -108,32 +107,3 @@ def rms(values: Array) -> float:
 def peak(values: Array) -> float:
     """Largest magnitude."""
     return float(np.max(np.abs(values)))
-
-
-def save_panels(
-    report: Report,
-    path: Path,
-    panels: Sequence[tuple[str, Sequence[tuple[str, str]]]],
-    x: str = "time_s",
-) -> Path:
-    """Draw stacked panels of `report.series` over the series `x` into a PNG.
-
-    A panel is (label of its y axis, [(series name, legend), ...]).
-    """
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
-        figure = Figure(figsize=(7.0, 1.9 * len(panels)), layout="constrained")
-        axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-        for axis, (label, lines) in zip(axes, panels, strict=True):
-            for name, legend in lines:
-                axis.plot(np.asarray(report.series[x]), np.asarray(report.series[name]), label=legend, lw=1.2)
-            axis.set_ylabel(label)
-            if len(lines) > 1:
-                axis.legend(loc="upper right", ncols=len(lines))
-        axes[-1].set_xlabel("time (s)" if x == "time_s" else x)
-        figure.suptitle(report.title)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110)
-    return path

@@ -14,21 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiger.models.vehicle import Inputs, Vehicle
-from tiger.studies.chapter5 import (
-    ASSUMPTIONS,
-    CONTROL_PERIOD_S,
-    CORNERS,
-    KMH_TO_MPS,
-    SpeedHold,
-    drive,
-    load_car,
-    save_panels,
-)
-from tiger.studies.report import Report, Row
+from tiger.studies.chapter5 import ASSUMPTIONS, CONTROL_PERIOD_S, KMH_TO_MPS, SpeedHold, drive, load_car
+from tiger.studies.figures import save_panels
+from tiger.studies.report import CORNERS, Report, Row, unwatched
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
+
+    from tiger.studies.report import Progress
 
 Array = NDArray[np.float64]
 
@@ -41,7 +34,7 @@ def run(
     duration_s: float = 20.0,
     inertia_divisor: float = 1.0,
     dt_s: float = 1e-3,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = unwatched,
 ) -> Report:
     """Lift the ground under the front left wheel by `step_m` at `step_at_s`, at constant speed.
 

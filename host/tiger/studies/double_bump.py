@@ -8,7 +8,6 @@ says what such slow actuators can do about a bump that lasts 0.6 s, which is nex
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from tiger.config.vehicle import load_vehicle
 from tiger.models import vehicle_kernel as kernel
+from tiger.models.full_car import FullCarParameters
 from tiger.models.terrain import Terrain
 from tiger.models.vehicle import History, Inputs, Vehicle, euler_from_quaternion
 from tiger.studies.chapter5 import (
@@ -27,22 +27,20 @@ from tiger.studies.chapter5 import (
     load_car,
     peak,
     rms,
-    save_panels,
 )
-from tiger.studies.report import Report, Row
+from tiger.studies.figures import save_panels
+from tiger.studies.report import Report, Row, unwatched
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Mapping
     from pathlib import Path
 
     from tiger.config.vehicle import VehicleConfig
+    from tiger.studies.report import Progress
 
 Array = NDArray[np.float64]
 
 CASES = ("passive", "active", "eam")
-
-_ROLL_PATTERN = np.array([1.0, -1.0, 1.0, -1.0])
-"""Forces on the body at FL, FR, RL, RR that lift its left side."""
 
 
 def run(
@@ -56,7 +54,7 @@ def run(
     eam: str = "tiger",
     duration_s: float = 4.0,
     dt_s: float = 1e-3,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = unwatched,
 ) -> Report:
     """Cross the bumps three times and compare; `eam` names the robot whose actuator and EAM are borrowed.
 
@@ -77,27 +75,17 @@ def run(
     inputs: dict[str, Array] = {}
     for n, case in enumerate(CASES):
         histories[case], inputs[case] = _cross(plant, drivers[case], speed_kmh, duration_s, dt_s)
-        if progress is not None:
-            progress((n + 1) / len(CASES))
-    figures = {case: _figures(histories[case]) for case in CASES}
-    rows = [
-        Row(f"{name}, {case}", figures[case][name][0], figures[case][name][1])
-        for name in figures["passive"]
-        for case in CASES
-    ]
-    rows += [
-        Row(f"{name}, {case}/passive", _ratio(figures[case][name][0], figures["passive"][name][0]), "-")
-        for name in ("roll, RMS", "pitch, RMS", "load transfer, peak", "path deviation, peak")
-        for case in CASES[1:]
-    ]
-    rows.append(Row("actuator force, peak, active", peak(inputs["active"][:, kernel.FORCE]), "N"))
-    rows.append(Row("spring seat lift, peak, eam", 1e3 * peak(inputs["eam"][:, kernel.LIFT]), "mm"))
+        progress((n + 1) / len(CASES))
     series: dict[str, Array] = {"time_s": histories["passive"].time_s[:-1]}
     for case in CASES:
-        series.update({f"{name}_{case}": v for name, v in _series(histories[case], inputs[case]).items()})
+        series |= {f"{name}_{case}": v for name, v in _series(histories[case], inputs[case]).items()}
     return Report(
         title=f"Double bump: {speed_kmh:g} km/h, left bumps of {bump_length_m:g} m x {100 * bump_m:g} cm",
-        rows=tuple(rows),
+        rows=(
+            *_compared({case: _figures(histories[case]) for case in CASES}),
+            Row("actuator force, peak, active", peak(inputs["active"][:, kernel.FORCE]), "N"),
+            Row("spring seat lift, peak, eam", 1e3 * peak(inputs["eam"][:, kernel.LIFT]), "mm"),
+        ),
         series=series,
         assumptions={
             **ASSUMPTIONS,
@@ -163,7 +151,6 @@ class _Passive:
         """Leave the springs and dampers alone."""
 
 
-@dataclass(frozen=True)
 class AttitudeForces:
     """Ideal forces that keep roll and pitch level and let the body heave.
 
@@ -173,41 +160,32 @@ class AttitudeForces:
     integrators, returned to level with a bandwidth and critical damping (attitude and rates from the IMU).
     """
 
-    config: VehicleConfig
-    bandwidth_hz: float
-    damper_share_kept: float
-    max_force_n: float
-    _spring: Array = field(init=False, repr=False)
-    _damper: Array = field(init=False, repr=False)
-    _inertia: Array = field(init=False, repr=False)
-    _lever: Array = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        """Collect the corner matrices."""
-        c = self.config
-        axles = (c.front, c.front, c.rear, c.rear)
-        x = np.array([1.0, 1.0, -1.0, -1.0])
-        x *= np.where(x > 0.0, c.body.com_to_front_axle_m, c.body.com_to_rear_axle_m)
-        y = c.body.half_track_m * _ROLL_PATTERN
-        object.__setattr__(self, "_spring", np.array([axle.spring_npm for axle in axles]))
-        object.__setattr__(self, "_damper", np.array([axle.damper_nspm for axle in axles]))
-        object.__setattr__(self, "_inertia", np.array([c.body.roll_inertia_kgm2, c.body.pitch_inertia_kgm2]))
+    def __init__(
+        self, config: VehicleConfig, bandwidth_hz: float, damper_share_kept: float, max_force_n: float
+    ) -> None:
+        """Take the law's four figures; the corners' springs, dampers and places are the vehicle's."""
+        car = FullCarParameters.from_config(config)
+        self._bandwidth_radps = 2.0 * np.pi * bandwidth_hz
+        self._max_force_n = max_force_n
+        self._spring_npm = car.spring_npm()
+        self._damper_nspm = (1.0 - damper_share_kept) * car.damper_nspm()
+        self._inertia_kgm2 = np.array([car.roll_inertia_kgm2, car.pitch_inertia_kgm2])
         # Force (+ up) at each corner for a unit moment about roll and pitch, without heave or warp.
+        x, y = car.corner_positions_m().T
         modes = np.stack([np.ones(4), y, -x, x * y])
-        object.__setattr__(self, "_lever", np.linalg.inv(modes)[:, 1:3])
+        self._lever_per_m = np.linalg.inv(modes)[:, 1:3]
 
     def wanted(self, state: Array) -> Array:
         """Forces (4,) before the limit."""
-        damper = (1.0 - self.damper_share_kept) * self._damper
-        passive = self._spring * state[kernel.STRUT] + damper * state[kernel.STRUT_RATE]
+        passive = self._spring_npm * state[kernel.STRUT] + self._damper_nspm * state[kernel.STRUT_RATE]
         attitude = euler_from_quaternion(state[kernel.ATTITUDE])[:2]
-        omega = 2.0 * np.pi * self.bandwidth_hz
-        moments = -self._inertia * (omega**2 * attitude + 2.0 * omega * state[kernel.RATE][:2])
-        return np.asarray(passive.mean() - passive + self._lever @ moments)
+        omega = self._bandwidth_radps
+        moments = -self._inertia_kgm2 * (omega**2 * attitude + 2.0 * omega * state[kernel.RATE][:2])
+        return np.asarray(passive.mean() - passive + self._lever_per_m @ moments)
 
     def act(self, state: Array, inputs: Inputs) -> None:
         """Set the actuator forces, limited."""
-        inputs.actuator_force_n[:] = np.clip(self.wanted(state), -self.max_force_n, self.max_force_n)
+        inputs.actuator_force_n[:] = np.clip(self.wanted(state), -self._max_force_n, self._max_force_n)
 
 
 class SlowEam:
@@ -220,7 +198,7 @@ class SlowEam:
         if robot.actuator.kind != "rate":
             raise ValueError("the EAM's vehicle needs actuator.kind = 'rate'; use the preset tiger")
         self._law = law
-        self._spring = np.array([car.front.spring_npm] * 2 + [car.rear.spring_npm] * 2)
+        self._spring_npm = FullCarParameters.from_config(car).spring_npm()
         self._actuator = robot.actuator
         self._curve = Eam.from_vehicle(robot).curve()
         self._stroke_mm = np.full(4, 0.5 * robot.actuator.stroke_max_mm)
@@ -228,7 +206,7 @@ class SlowEam:
 
     def act(self, state: Array, inputs: Inputs) -> None:
         """Move the strokes towards the wanted lift."""
-        target_mm = self._curve.stroke_mm(self._datum_mm + 1e3 * self._law.wanted(state) / self._spring)
+        target_mm = self._curve.stroke_mm(self._datum_mm + 1e3 * self._law.wanted(state) / self._spring_npm)
         limit = self._actuator.max_rate_mmps
         lag_s = max(self._actuator.lag_s, CONTROL_PERIOD_S)
         rate = np.clip((target_mm - self._stroke_mm) / lag_s, -limit, limit)
@@ -253,12 +231,25 @@ def _cross(
     return drive(plant, plant.rolling(speed), duration_s, dt_s, act)
 
 
+def _compared(figures: Mapping[str, Mapping[str, tuple[float, str]]]) -> list[Row]:
+    """Every figure of every case, then the main ones over those of the passive car."""
+    passive = figures["passive"]
+    rows = [Row(f"{name}, {case}", *figures[case][name]) for name in passive for case in CASES]
+    rows += [
+        Row(f"{name}, {case}/passive", _ratio(figures[case][name][0], passive[name][0]), "-")
+        for name in ("roll, RMS", "pitch, RMS", "load transfer, peak", "path deviation, peak")
+        for case in CASES[1:]
+    ]
+    return rows
+
+
 def _ratio(value: float, passive: float) -> float:
     """Quotient, or NaN where the passive car does not move either."""
     return value / passive if passive > 0.0 else float("nan")
 
 
 def _figures(history: History) -> dict[str, tuple[float, str]]:
+    """What one crossing comes to: value and unit."""
     angles = np.degrees(history.attitude_rad)
     return {
         "roll, RMS": (rms(angles[:, 0]), "deg"),

@@ -9,6 +9,7 @@ import numpy as np
 from tiger.config.vehicle import load_vehicle
 from tiger.models.eam import Eam, MechanismError
 from tiger.models.full_car import GRAVITY_MPS2
+from tiger.studies.figures import new_figure, save
 from tiger.studies.report import Report, Row
 
 if TYPE_CHECKING:
@@ -96,23 +97,17 @@ def run(*, vehicle: str = "tiger", stroke_mm: float = 100.0, points: int = 201) 
 
 def plot(report: Report, directory: Path) -> list[Path]:
     """Draw Figures 4.3 and 4.5 into `directory`."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    series = {name: np.asarray(values) for name, values in report.series.items()}
+    series = report.arrays()
     stroke = series["stroke_mm"]
-    paths = [directory / "figure-4-3.png", directory / "figure-4-5.png"]
 
-    figure, axes = plt.subplots(figsize=(6.0, 4.0), layout="constrained")
+    travel = new_figure(6.0, 4.0)
+    axes = travel.subplots()
     axes.plot(stroke, series["suspension_travel_mm"], color="tab:blue")
     axes.set(xlabel="actuator stroke (mm)", ylabel="suspension travel (mm)", title="Figure 4.3")
     axes.grid(alpha=0.3)
-    figure.savefig(paths[0], dpi=120)
-    plt.close(figure)
 
-    figure, left = plt.subplots(figsize=(6.0, 4.0), layout="constrained")
+    clearance_and_track = new_figure(6.0, 4.0)
+    left = clearance_and_track.subplots()
     right = left.twinx()
     left.plot(stroke, series["ground_clearance_mm"], color="tab:blue")
     right.plot(stroke, series["track_mm"], color="tab:red")
@@ -120,6 +115,7 @@ def plot(report: Report, directory: Path) -> list[Path]:
     left.set_ylabel("ground clearance (mm)", color="tab:blue")
     right.set_ylabel("wheel track (mm)", color="tab:red")
     left.grid(alpha=0.3)
-    figure.savefig(paths[1], dpi=120)
-    plt.close(figure)
-    return paths
+    return [
+        save(travel, directory / "figure-4-3.png", 120),
+        save(clearance_and_track, directory / "figure-4-5.png", 120),
+    ]

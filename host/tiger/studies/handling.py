@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 from tiger.models.full_car import GRAVITY_MPS2
 from tiger.models.vehicle import Inputs, Vehicle
 from tiger.models.vehicle_kernel import BODY_MOMENT, RATE, VELOCITY
-from tiger.studies.chapter5 import ASSUMPTIONS, KMH_TO_MPS, drive, load_car, peak, save_panels
-from tiger.studies.report import Report, Row
+from tiger.studies.chapter5 import ASSUMPTIONS, KMH_TO_MPS, drive, load_car, peak
+from tiger.studies.figures import save_panels
+from tiger.studies.report import Report, Row, unwatched
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Mapping
     from pathlib import Path
+
+    from tiger.studies.report import Progress
 
 Array = NDArray[np.float64]
 
@@ -36,7 +39,7 @@ def run(
     periods: int = 5,
     inertia_divisor: float = 1.0,
     dt_s: float = 1e-3,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = unwatched,
 ) -> Report:
     """Drive the sinusoid; amplitude and lag are those of the fundamental over the last two periods.
 
@@ -48,50 +51,34 @@ def run(
     plant = Vehicle(config)
     speed = speed_kmh * KMH_TO_MPS
     amplitude, frequency = yaw_rate_amplitude_radps, yaw_rate_frequency_radps
-    period = 2.0 * np.pi / frequency
+    period_s = 2.0 * np.pi / frequency
 
     def act(time_s: float, state: Array, inputs: Inputs) -> None:
         phase = frequency * time_s
         yaw_rate, yaw_acceleration = amplitude * np.sin(phase), amplitude * frequency * np.cos(phase)
         _hold(plant, state, inputs, speed, yaw_rate, yaw_acceleration)
 
-    history, table = drive(plant, plant.rolling(speed), periods * period, dt_s, act, progress)
-
-    time = history.time_s[:-1]
-    yaw_rate = history.rate_radps[:-1, 2]
-    lateral = history.acceleration_mps2[:-1, 1]
-    roll = np.degrees(history.attitude_rad[:-1, 0])
-    transfer = history.load_transfer[:-1]
-    moment = table[:, BODY_MOMENT][:, 2]
-    steady = time >= time[-1] - 2.0 * period
-    fit = _Sinusoid(time[steady], frequency)
-    lateral_amplitude, lateral_phase = fit(lateral[steady])
-    roll_amplitude, _ = fit(roll[steady])
-    _, yaw_phase = fit(yaw_rate[steady])
-    mass = config.body.mass_kg + 2.0 * (config.front.unsprung_mass_kg + config.rear.unsprung_mass_kg)
-    grip_moment = config.tire.friction * mass * GRAVITY_MPS2 * config.body.half_track_m
+    history, table = drive(plant, plant.rolling(speed), periods * period_s, dt_s, act, progress)
+    series = {
+        "time_s": history.time_s[:-1],
+        "yaw_rate_radps": history.rate_radps[:-1, 2],
+        "lateral_acceleration_mps2": history.acceleration_mps2[:-1, 1],
+        "roll_deg": np.degrees(history.attitude_rad[:-1, 0]),
+        "load_transfer": history.load_transfer[:-1],
+        "yaw_moment_nm": table[:, BODY_MOMENT][:, 2],
+        "x_m": history.position_m[:-1, 0],
+        "y_m": history.position_m[:-1, 1],
+    }
+    mass_kg = config.body.mass_kg + 2.0 * (config.front.unsprung_mass_kg + config.rear.unsprung_mass_kg)
+    grip_moment_nm = config.tire.friction * mass_kg * GRAVITY_MPS2 * config.body.half_track_m
     return Report(
         title=f"Handling: {speed_kmh:g} km/h, r = {amplitude:g} sin({frequency:g} t) rad/s",
         rows=(
-            Row("yaw rate, peak", peak(yaw_rate[steady]), "rad/s", yaw_rate_amplitude_radps),
-            Row("lateral acceleration, amplitude", lateral_amplitude, "m/s2"),
-            Row("lateral acceleration, lag on yaw rate", yaw_phase - lateral_phase, "deg"),
-            Row("roll, amplitude", roll_amplitude, "deg"),
-            Row("load transfer, peak", peak(transfer[steady]), "-"),
+            *_steady_rows(series, amplitude, frequency),
+            Row("yaw moment if all grip went into it (mu m g w)", grip_moment_nm, "Nm"),
             Row("lateral path, peak to peak", float(np.ptp(history.position_m[:, 1])), "m"),
-            Row("yaw moment needed, peak", peak(moment[steady]), "Nm"),
-            Row("yaw moment if all grip went into it (mu m g w)", grip_moment, "Nm"),
         ),
-        series={
-            "time_s": time,
-            "yaw_rate_radps": yaw_rate,
-            "lateral_acceleration_mps2": lateral,
-            "roll_deg": roll,
-            "load_transfer": transfer,
-            "yaw_moment_nm": moment,
-            "x_m": history.position_m[:-1, 0],
-            "y_m": history.position_m[:-1, 1],
-        },
+        series=series,
         assumptions={
             **ASSUMPTIONS,
             "vehicle": vehicle,
@@ -115,6 +102,31 @@ def plot(report: Report, directory: Path) -> list[Path]:
                 ("load transfer (-)", [("load_transfer", "load transfer")]),
             ],
         )
+    ]
+
+
+def _steady_rows(series: Mapping[str, Array], amplitude_radps: float, frequency_radps: float) -> list[Row]:
+    """What the last two periods show."""
+    time_s = series["time_s"]
+    steady = time_s >= time_s[-1] - 2.0 * (2.0 * np.pi / frequency_radps)
+    yaw_rate, lateral, roll, transfer, moment = (
+        series[name][steady]
+        for name in (
+            *("yaw_rate_radps", "lateral_acceleration_mps2", "roll_deg"),
+            *("load_transfer", "yaw_moment_nm"),
+        )
+    )
+    fit = _Sinusoid(time_s[steady], frequency_radps)
+    lateral_amplitude, lateral_phase = fit(lateral)
+    roll_amplitude, _ = fit(roll)
+    _, yaw_phase = fit(yaw_rate)
+    return [
+        Row("yaw rate, peak", peak(yaw_rate), "rad/s", amplitude_radps),
+        Row("lateral acceleration, amplitude", lateral_amplitude, "m/s2"),
+        Row("lateral acceleration, lag on yaw rate", yaw_phase - lateral_phase, "deg"),
+        Row("roll, amplitude", roll_amplitude, "deg"),
+        Row("load transfer, peak", peak(transfer), "-"),
+        Row("yaw moment needed, peak", peak(moment), "Nm"),
     ]
 
 

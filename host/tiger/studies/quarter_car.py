@@ -9,10 +9,10 @@ import numpy as np
 from tiger.config.vehicle import load_vehicle
 from tiger.models.linear import modes
 from tiger.models.quarter_car import QuarterCarParameters, quarter_car
+from tiger.studies.figures import new_figure, save
 from tiger.studies.report import Report, Row
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 STEP_S = 1e-4
@@ -24,10 +24,11 @@ def run(
     step_m: float = 0.1,
     push_n: float = 100.0,
     duration_s: float = 3.0,
-    progress: Callable[[float], None] | None = None,
 ) -> Report:
-    """Drive the corner of the named axle over a step of the road, and push it with its actuator on a flat
-    one."""
+    """Drive one corner over a step of the road, and push it with its actuator on a flat one.
+
+    Raises ConfigError for an unknown vehicle, ValueError for another axle than "front" or "rear".
+    """
     model = quarter_car(QuarterCarParameters.from_config(load_vehicle(vehicle), axle))
     sampled = model.discretise(STEP_S)
     steps = round(duration_s / STEP_S)
@@ -53,8 +54,6 @@ def run(
         Row("push: body rise at the end", float(pushed[-1, 1]), "m"),
     ]
     every = slice(None, None, 20)
-    if progress is not None:
-        progress(1.0)
     return Report(
         f"Quarter car, {axle} corner of {vehicle}",
         tuple(rows),
@@ -74,14 +73,9 @@ def run(
 
 def plot(report: Report, directory: Path) -> list[Path]:
     """Draw the step and the push."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    directory.mkdir(parents=True, exist_ok=True)
-    s = {name: np.asarray(values) for name, values in report.series.items()}
-    figure, axes = plt.subplots(3, 1, figsize=(7, 6), sharex=True, layout="constrained")
+    s = report.arrays()
+    figure = new_figure(7, 6)
+    axes = figure.subplots(3, 1, sharex=True)
     axes[0].plot(s["time_s"], s["step_body_m"], label="body")
     axes[0].plot(s["time_s"], s["step_wheel_m"], label="wheel")
     axes[0].legend()
@@ -90,7 +84,4 @@ def plot(report: Report, directory: Path) -> list[Path]:
     for axis, label in zip(axes, ("step m", "step m/s$^2$", "push m"), strict=True):
         axis.set_ylabel(label)
     axes[2].set_xlabel("time s")
-    path = directory / "quarter_car.png"
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
-    return [path]
+    return [save(figure, directory / "quarter_car.png", 120)]

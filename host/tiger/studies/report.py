@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
 
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
     from rich.table import Table
+
+    Progress = Callable[[float], None]
+    """Is told how much of a study is done, 0 to 1."""
+
+CORNERS = ("FL", "FR", "RL", "RR")
+"""As rows and legends name them."""
+
+
+def unwatched(_done: float) -> None:
+    """Stand for a `Progress` that nobody looks at."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +49,10 @@ class Report:
     series: Mapping[str, ArrayLike] = field(default_factory=dict)
     assumptions: Mapping[str, Any] = field(default_factory=dict)
 
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the series as arrays, for the plots."""
+        return {name: np.asarray(values) for name, values in self.series.items()}
+
     def table(self) -> Table:
         """Render the rows beside the dissertation's figures."""
         from rich.table import Table
@@ -61,7 +75,7 @@ class Report:
                 {"name": r.name, "value": _plain(r.value), "unit": r.unit, "printed": r.printed}
                 for r in self.rows
             ],
-            "series": {name: _plain(np.asarray(values)) for name, values in self.series.items()},
+            "series": {name: _plain(values) for name, values in self.arrays().items()},
             "assumptions": {name: _plain(value) for name, value in self.assumptions.items()},
         }
 
