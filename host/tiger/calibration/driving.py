@@ -11,8 +11,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from tiger.calibration.person import measured
 from tiger.calibration.procedure import CalibrationError, Confirm, Measure, Turn, What
-from tiger.calibration.wheels import ARM_PATIENCE_S, Drive, DriveState, Phase, progress, solve, step
+from tiger.calibration.wheels import (
+    ARM_PATIENCE_S,
+    Drive,
+    DriveState,
+    Phase,
+    progress,
+    solve,
+    step,
+    wrong_angle,
+    wrong_distance,
+)
 from tiger.daemon.loop import run
 from tiger.record import Command, Mode
 
@@ -75,16 +86,30 @@ def calibrate_wheels(
     straight = _drive(
         daemon, ticks, person, ahead, f"It will drive {distance_m:g} m ahead. Is the way clear?"
     )
-    (measured_m,) = person.measure(Measure("How far did it go, in m, mark to mark?", What.DISTANCE))
+    (measured_m,) = measured(
+        person,
+        Measure(
+            "How far did it go, in m, mark to mark?",
+            What.DISTANCE,
+            lambda typed: wrong_distance(robot, straight, typed[0]),
+        ),
+    )
     person.confirm(Confirm(f"Mark its heading: it will turn {place}, to the {side}."))
     turning = _drive(daemon, ticks, person, around, f"It will turn {abs(turns)} times. Is the way clear?")
-    (beyond_deg,) = person.measure(
+    (beyond_deg,) = measured(
+        person,
         Measure(
-            f"How far beyond {abs(turns)} full turns did it come, in degrees (short: negative)?", What.BEYOND
-        )
+            f"How far beyond {abs(turns)} full turns did it come, in degrees (short: negative)?",
+            What.BEYOND,
+            lambda typed: wrong_angle(turning, _turned_rad(turns, typed[0])),
+        ),
     )
-    angle_rad = math.copysign(2.0 * math.pi * abs(turns) + math.radians(beyond_deg), turns)
+    angle_rad = _turned_rad(turns, beyond_deg)
     return solve(robot, straight, measured_m, turning, angle_rad)
+
+
+def _turned_rad(turns: int, beyond_deg: float) -> float:
+    return math.copysign(1.0, turns) * (2.0 * math.pi * abs(turns) + math.radians(beyond_deg))
 
 
 def _drive(daemon: Daemon, ticks: Ticks, person: Person, drive: Drive, question: str) -> DriveState:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tiger.calibration.procedure import What
+from tiger.calibration.procedure import CalibrationError, What
 from tiger.models.full_car import GRAVITY_MPS2
 from tiger.models.sensors.imu import ImuReading
 
@@ -23,6 +24,7 @@ RULER_MM = 0.1
 TAPE_M = 0.005
 PROTRACTOR_DEG = 0.5
 CLUMSY_DEG = 8.0
+TRIES = 3  # at typing a number that can be
 
 
 class Person(Protocol):
@@ -39,6 +41,22 @@ class Person(Protocol):
 
     def show(self, turn: Turn) -> None:
         """Look at the progress."""
+
+
+def measured(person: Person, ask: Measure) -> tuple[float, ...]:
+    """Numbers that can be: a person who types others is told why and asked again.
+
+    Raises CalibrationError when that does not help.
+    """
+    text, wrong = ask.text, None
+    for _ in range(TRIES):
+        values = person.measure(replace(ask, text=text))
+        infinite = next((value for value in values if not math.isfinite(value)), None)
+        wrong = ask.wrong(values) if infinite is None else f"{infinite:g} is no measured value; type a number"
+        if wrong is None:
+            return values
+        text = f"{wrong}.\n{ask.text}"
+    raise CalibrationError(f"{wrong}; begin again")
 
 
 class HeldImu:

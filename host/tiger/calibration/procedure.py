@@ -65,12 +65,19 @@ class What(Enum):
         return 4 if self is What.STROKES else 1
 
 
+def never(values: tuple[float, ...]) -> str | None:
+    """No number is wrong."""
+    return None
+
+
 @dataclass(frozen=True, slots=True)
 class Measure:
     """A person must measure something and type the numbers."""
 
     text: str
     what: What
+    wrong: Callable[[tuple[float, ...]], str | None] = never
+    """Why these numbers cannot be, and the next step; None when they can."""
 
 
 Ask = Confirm | Move | Measure

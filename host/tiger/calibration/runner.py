@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from tiger.calibration import parameters
+from tiger.calibration.person import measured
 from tiger.calibration.procedure import (
     Ask,
     CalibrationError,
@@ -58,7 +59,7 @@ class _Outside:
         if isinstance(ask, Confirm):
             self._person.confirm(ask)
         elif isinstance(ask, Measure):
-            return self._person.measure(ask)
+            return measured(self._person, ask)
         elif ask is not None:
             self._may_move = self._may_move or self._person.permit(PERMISSION)
             if not self._may_move:

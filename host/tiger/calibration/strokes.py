@@ -8,6 +8,7 @@ measurements are from the curve is said, and drawn.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,6 +39,7 @@ POSITION_S = 2.0
 MOVES_FROM = 0.12  # of the full stroke: how near the ends the robot goes by itself
 NOISE_MOST_SUMS = 64.0  # four counts of the converter, in sums of 16
 RESIDUAL_MOST_MM = 0.5
+BEYOND_BELIEF = 1.5  # of the longest stroke that is asked for: what was typed is in another unit
 SPREAD_LEAST = 0.5  # of the full stroke that the positions must cover
 PIECES = 4
 POSITIONS_FOR_A_CURVE = 6  # fewer do not tell a bow from a slip of the ruler
@@ -198,10 +200,22 @@ def strokes_procedure(positions: Sequence[float], moves: bool) -> Procedure:
                 POSITION_S,
                 unrest,
                 Move((stroke, stroke, stroke, stroke)) if moves else Confirm(by_hand),
-                Measure("Measure the strokes of FL, FR, RL, RR in mm, from fully retracted.", What.STROKES),
+                Measure(
+                    "Measure the strokes of FL, FR, RL, RR in mm, from fully retracted.",
+                    What.STROKES,
+                    partial(_wrong_strokes, most_mm=BEYOND_BELIEF * max(positions)),
+                ),
             )
         )
     return Procedure("strokes", BoardKind.MEGA_SUSPENSION, tuple(stages), channels, solve)
+
+
+def _wrong_strokes(strokes_mm: tuple[float, ...], most_mm: float) -> str | None:
+    for corner, stroke in zip(CORNERS, strokes_mm, strict=True):
+        if abs(stroke) > most_mm:
+            beyond = f"{corner} at {stroke:g} mm is beyond ±{most_mm:.0f} mm"
+            return f"strokes: {beyond}; measure again, in millimetres"
+    return None
 
 
 def plot(result: Result, folder: Path) -> Path:

@@ -172,6 +172,32 @@ def _wheel_rad(inputs: Inputs) -> Four:
     return fl * per_edge, fr * per_edge, rl * per_edge, rr * per_edge
 
 
+def wrong_distance(robot: RobotConfig, straight: DriveState, distance_m: float) -> str | None:
+    """Why a person cannot have measured this distance; None when it can be."""
+    mean = float(np.mean(straight.wheel_rad))
+    if mean <= 0.0:
+        return "wheels: the robot did not drive ahead; check the sensors, then start again"
+    counted_m = mean * robot.vehicle.tire.rolling_radius_m
+    if abs(distance_m / counted_m - 1.0) <= FACTOR_MOST_OFF:
+        return None
+    return (
+        f"wheels: {distance_m:g} m is {distance_m / counted_m:.2f} of the {counted_m:.2f} m that the wheels "
+        f"rolled; at most {100.0 * FACTOR_MOST_OFF:g} % off is believed: measure again, in metres, "
+        "check the teeth of the gears"
+    )
+
+
+def wrong_angle(turning: DriveState, angle_rad: float) -> str | None:
+    """Why the robot cannot have turned so far; None when it can have."""
+    if abs(angle_rad - turning.yaw_rad) <= FACTOR_MOST_OFF * abs(turning.yaw_rad):
+        return None
+    return (
+        f"wheels: {math.degrees(angle_rad):.0f} degrees in all are more than {100.0 * FACTOR_MOST_OFF:g} % "
+        f"off the {math.degrees(turning.yaw_rad):.0f} that the gyro counted: measure again, in degrees, "
+        "count the full turns"
+    )
+
+
 def solve(
     robot: RobotConfig,
     straight: DriveState,
@@ -184,18 +210,14 @@ def solve(
     A wheel of radius r that turned by a went r a; on the spot it went effective factor x half track x yaw
     (`control/drive.py`). `angle_rad` is what the robot truly turned, + left, full turns included.
     """
+    wrong = wrong_distance(robot, straight, distance_m) or wrong_angle(turning, angle_rad)
+    if wrong is not None:
+        raise CalibrationError(wrong)
     straight_rad = np.array(straight.wheel_rad)
     mean = float(straight_rad.mean())
-    if mean <= 0.0 or distance_m <= 0.0:
-        raise CalibrationError("wheels: the robot did not drive ahead; check the sensors, then start again")
     apart = float(np.ptp(straight_rad)) / mean
     radius = distance_m / mean
     radius_factor = radius / robot.vehicle.tire.rolling_radius_m
-    if abs(radius_factor - 1.0) > FACTOR_MOST_OFF:
-        raise CalibrationError(
-            f"wheels: the distance makes the radius {radius:.3f} m, {radius_factor:.2f} of the vehicle's; at "
-            f"most {100.0 * FACTOR_MOST_OFF:g} % off is believed: measure again, check the teeth of the gears"
-        )
     half_m = float(np.mean(half_tracks_m(track_of(robot.vehicle), turning.stroke_mm)))
     turned = float((_LEFT_TURN * np.array(turning.wheel_rad)).mean())
     track_factor = radius * turned / (angle_rad * half_m)

@@ -195,6 +195,13 @@ def test_strokes_that_make_no_curve_are_refused(sums, strokes_mm, reason: str) -
         strokes.solve(measured(sums, strokes_mm), MEGA)
 
 
+def test_strokes_in_another_unit_are_asked_again_at_once() -> None:
+    ask = strokes.strokes_procedure([0.0, 35.0, 70.0], moves=False).stages[0].measure
+    assert ask is not None
+    assert ask.wrong((-1.0, 0.0, 71.0, 35.0)) is None
+    assert "RL at 350 mm is beyond ±105 mm" in str(ask.wrong((35.0, 35.0, 350.0, 35.0)))
+
+
 def test_the_robot_stays_clear_of_the_ends_and_a_person_does_not() -> None:
     full = load_robot(None).actuator.stroke_max_mm
     assert strokes.positions_mm(full, 3, moves=False) == [0.0, full / 2.0, full]

@@ -8,9 +8,19 @@ from dataclasses import replace
 import pytest
 
 from tiger.calibration.driving import Course, calibrate_wheels, virtual_ticks
-from tiger.calibration.person import EmulatedPerson
-from tiger.calibration.procedure import CalibrationError
-from tiger.calibration.wheels import ARM_PATIENCE_S, Drive, DriveState, Phase, as_toml, solve, step
+from tiger.calibration.person import EmulatedPerson, measured
+from tiger.calibration.procedure import CalibrationError, Measure, What
+from tiger.calibration.wheels import (
+    ARM_PATIENCE_S,
+    Drive,
+    DriveState,
+    Phase,
+    as_toml,
+    solve,
+    step,
+    wrong_angle,
+    wrong_distance,
+)
 from tiger.config.robot import load_robot
 from tiger.emulation.scenarios import Scenario
 from tiger.record import Command, DaemonState, Inputs, Mode, Outputs, Record
@@ -103,6 +113,66 @@ def test_with_the_factors_found_the_robot_turns_as_it_is_told() -> None:
     asked_deg = 4.0 * 20.0
     after = _yaw_turned_deg(ROBOT.model_copy(update={"drive": found}))
     assert abs(after - asked_deg) < 0.02 * asked_deg
+
+
+class Typist(EmulatedPerson):
+    """Types what it is told to, then what it measures."""
+
+    def __init__(self, rig: Rig, **typed: list[float]) -> None:
+        super().__init__(rig)
+        self.typed = typed
+        self.asked: list[str] = []
+        self.permitted: list[str] = []
+
+    def permit(self, text: str) -> bool:
+        self.permitted.append(text)
+        return True
+
+    def measure(self, ask: Measure) -> tuple[float, ...]:
+        self.asked.append(ask.text)
+        waiting = self.typed.get(ask.what.value, [])
+        return (waiting.pop(0),) if waiting else super().measure(ask)
+
+
+def test_a_distance_that_cannot_be_is_asked_again_and_the_robot_never_drives_on() -> None:
+    rig = Rig(ROBOT, SMOOTH_FLOOR, seed=3)
+    person = Typist(rig, distance=[0.0, math.nan, 100.0])
+    with pytest.raises(CalibrationError, match=r"100 m is .* of the .* begin again"):
+        calibrate_wheels(rig.config, rig.daemon, virtual_ticks(rig), person, Course(0.5, turns=1))
+    assert "wheels: 0 m is 0.00 of the " in person.asked[1]
+    assert "nan is no measured value; type a number" in person.asked[2]
+    assert len(person.asked) == 3
+    assert len(person.permitted) == 1
+    assert rig.daemon.state is not DaemonState.ARMED
+
+
+@pytest.mark.parametrize("factor", [-1.0, 0.0, 0.79, 1.21, 100.0, math.inf, math.nan])
+def test_a_distance_far_from_what_the_wheels_rolled_is_not_believed(factor: float) -> None:
+    rolled = _travelled((12.0,) * 4)
+    wrong = wrong_distance(ROBOT, rolled, factor * 12.0 * RADIUS_M)
+    assert wrong is not None
+    assert "measure again" in wrong
+    assert wrong_distance(ROBOT, rolled, 1.19 * 12.0 * RADIUS_M) is None
+
+
+@pytest.mark.parametrize("turned_deg", [0.0, -360.0, 280.0, 440.0, math.nan])
+def test_an_angle_far_from_what_the_gyro_counted_is_not_believed(turned_deg: float) -> None:
+    turning = _travelled((-40.0, 40.0, -40.0, 40.0))
+    wrong = wrong_angle(turning, math.radians(turned_deg))
+    assert wrong is not None
+    assert "count the full turns" in wrong
+    assert wrong_angle(turning, math.radians(290.0)) is None
+
+
+def test_a_slip_of_the_finger_is_asked_again_and_then_taken() -> None:
+    class Typing:
+        typed = iter([(math.nan,), (0.0,), (5.0,)])
+
+        def measure(self, ask: Measure) -> tuple[float, ...]:
+            return next(self.typed)
+
+    ask = Measure("How far?", What.DISTANCE, lambda typed: None if typed[0] > 0.0 else "nowhere")
+    assert measured(Typing(), ask) == (5.0,)
 
 
 def test_nothing_is_driven_without_leave() -> None:
