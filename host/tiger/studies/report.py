@@ -63,8 +63,8 @@ class Report:
         table.add_column("printed", justify="right")
         table.add_column("unit")
         for row in self.rows:
-            printed = "" if row.printed is None else f"{row.printed:.4g}"
-            table.add_row(row.name, f"{row.value:.4g}", printed, row.unit)
+            printed = "" if row.printed is None else _shown(row.printed)
+            table.add_row(row.name, _shown(row.value), printed, row.unit)
         return table
 
     def to_json(self) -> dict[str, Any]:
@@ -82,6 +82,11 @@ class Report:
     def write_json(self, path: Path) -> None:
         """Write `to_json()` to `path`; a figure that is not finite becomes null, for JSON knows no NaN."""
         path.write_text(json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _shown(value: float) -> str:
+    """A figure for the table; a dash where nothing happened that it could be of."""
+    return f"{value:.4g}" if np.isfinite(value) else "-"
 
 
 def _plain(value: Any) -> Any:

@@ -44,3 +44,11 @@ def test_table_shows_the_printed_figure_beside_the_value() -> None:
     line = next(line for line in out.getvalue().splitlines() if "roll" in line)
     assert "1.5" in line
     assert "1.6" in line
+
+
+def test_table_shows_a_dash_for_a_figure_of_nothing() -> None:
+    out = io.StringIO()
+    Console(file=out, width=100).print(REPORT.table())
+    line = next(line for line in out.getvalue().splitlines() if "never" in line)
+    assert "nan" not in line
+    assert " - " in line
