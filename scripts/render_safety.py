@@ -39,7 +39,7 @@ person (`c` in `tiger run`). `--emulate` may arm by itself; hardware needs `--ar
 |---|---|---|
 | no setpoint accepted for 60 ms, or only ones older than 50 ms | actuators hold still | 100 ms |
 | none accepted for 250 ms | outputs off, LINK_LOST latched | 300 ms |
-| a board's program hangs | watchdog: outputs off in its interrupt after 32 ms, reset after 64 ms | 100 ms |
+| a board's program hangs | watchdog: outputs off after 32 ms in its interrupt, after 64 ms by the reset where interrupts are off | 100 ms |
 | the host hangs or dies | the Roboteqs' own watchdog (150 ms) commands zero; the daemon latches on their behalf | 250 ms |
 | a fault is detected on a board | its outputs off, latched, reported | 20 ms |
 | emergency stop pressed, or its wire cut | everything off, until a person releases it and clears | 20 ms |
@@ -103,9 +103,9 @@ def page() -> str:
     return "\n".join(
         (
             HEAD,
-            "## Limits the daemon watches\n\nValues are the defaults of `[safety]` in robot.toml. The action is that "
-            "of an armed robot; before, the limit itself\nkeeps it from being armed. **Stops**: strokes, wheels and "
-            "outputs, latched as FAULT until a person clears it.\n",
+            "## Limits the daemon watches\n\nValues are the defaults in robot.toml, of `[safety]` and in the last two rows "
+            "of `[stability]`. The action is that of an\narmed robot; before, the limit itself keeps it from being "
+            "armed. **Stops**: strokes, wheels and outputs, latched as\nFAULT until a person clears it.\n",
             table(("where", "measurement", "limit", "action", "next step"), limits),
             "## States of the daemon\n\nRows are tried from the top; the first whose condition holds is taken.\n",
             table(("state", "when", "next"), states),

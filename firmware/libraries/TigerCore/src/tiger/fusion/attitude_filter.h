@@ -12,7 +12,7 @@
 // The work is split over ticks so that it fits a 16 MHz AVR: every tick integrates the gyroscope and averages
 // the accelerometer; a quarter of the rest is done in each of four ticks: correct the inclination, correct the
 // heading (a magnetometer sample waits for its turn, already carried into the inertial frame), follow the rotation,
-// update the bias. The full structure at every sample costs 177 k cycles, this 50 k.
+// update the bias. The full structure at every sample costs 177 k cycles, this 57 k.
 #pragma once
 
 #include <stdint.h>
