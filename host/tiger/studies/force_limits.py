@@ -17,22 +17,26 @@ import numpy as np
 from tiger.control import mpc, ride_designs
 from tiger.control.ride import PERIOD_S, ImuNoise, RideController, RideState
 from tiger.studies import ride_cases
-from tiger.studies.performance import FINE_S, performance_index, simulate
-from tiger.studies.report import Report, Row
+from tiger.studies.figures import new_figure, save
+from tiger.studies.performance import FINE_PER_PERIOD, FINE_S, INDEX_NAMES, INDEX_UNITS, simulate
+from tiger.studies.report import Report, Row, unwatched
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
     from typing import Any
 
     from numpy.typing import NDArray
 
     from tiger.studies.performance import Controller, RideRun
+    from tiger.studies.report import Progress
 
     Array = NDArray[np.float64]
 
-ROWS = ((0, "peak heave acceleration", "m/s^2"), (1, "rms heave acceleration", "m/s^2"),
-        (2, "peak pitch acceleration", "rad/s^2"), (4, "peak roll acceleration", "rad/s^2"))  # fmt: skip
+FORCES_N = (6000.0, 5000.0, 4000.0, 3000.0)
+SHOWN_N = 4000.0
+"""The limit at which both are drawn over time."""
+_ROWS = (0, 1, 2, 4)
+"""Of the performance index: peak and RMS heave, peak pitch, peak roll."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +86,7 @@ def run(
     rate_nps: float = 60_000.0,
     travel_mm: float = 70.0,
     seed: int = 0,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = unwatched,
 ) -> Report:
     """Drive the bumpy road with force limits of 6, 5, 4 and 3 kN.
 
@@ -94,46 +98,41 @@ def run(
     road = ride_cases.bumpy_road()
     tuning = ride_designs.for_bumpy_road(noise, preview=True)
     regulator = tuning.controller(case.car, imu, ride_cases.BUMPY_PREVIEW_S)
-    forces_n = (np.inf, 6000.0, 5000.0, 4000.0, 3000.0)
-    rows: list[Row] = []
-    heave: dict[str, list[float]] = {"regulator": [], "predictive": []}
-    series: dict[str, Any] = {}
-    ticks: list[float] = []
-    for i, limit_n in enumerate(forces_n):
-        unlimited = np.isinf(limit_n)
-        limits = mpc.Limits(limit_n, np.inf if unlimited else rate_nps, 1e-3 * travel_mm)
-        controllers: dict[str, Controller] = {"regulator": CutRegulator(regulator, limits)}
-        if not unlimited:
-            timed = Timed(mpc.design(regulator, tuning.weights, limits))
-            controllers["predictive"] = timed
-        for name, controller in controllers.items():
-            driven = simulate(case.car, road, controller, imu, (seed,))
-            index = performance_index(case.car, case.rattle_space_m, driven)[0]
-            label = f"{name}, no limits" if unlimited else f"{name}, {limit_n / 1000:g} kN"
-            rows += [Row(f"{label}: {row}", float(index[j]), unit) for j, row, unit in ROWS]
-            rows += _use_of_limits(label, driven)
-            if not unlimited:
-                heave[name].append(float(index[0]))
-            if limit_n == 4000.0:
-                series |= _series(name, driven)
-        if not unlimited:
-            ticks += timed.spent_s
-        if progress is not None:
-            progress((i + 1) / len(forces_n))
+
+    def drive(controller: Controller) -> RideRun:
+        return simulate(case.car, road, controller, imu, (seed,))
+
+    unlimited = drive(CutRegulator(regulator, mpc.Limits(np.inf, np.inf, 1e-3 * travel_mm)))
+    rows = _rows(case, "regulator, no limits", unlimited)
+    runs: dict[str, list[RideRun]] = {"regulator": [], "predictive": []}
+    ticks_s: list[float] = []
+    for done, force_n in enumerate(FORCES_N):
+        progress((done + 1) / (len(FORCES_N) + 1))
+        limits = mpc.Limits(force_n, rate_nps, 1e-3 * travel_mm)
+        predictive = Timed(mpc.design(regulator, tuning.weights, limits))
+        runs["regulator"].append(drive(CutRegulator(regulator, limits)))
+        runs["predictive"].append(drive(predictive))
+        ticks_s += predictive.spent_s
+        for name, driven in runs.items():
+            rows += _rows(case, f"{name}, {force_n / 1000:g} kN", driven[-1])
     rows += [
-        Row("predictive tick, median", 1000 * float(np.median(ticks)), "ms"),
-        Row("predictive tick, 99th percentile", 1000 * float(np.percentile(ticks, 99)), "ms"),
+        Row("predictive tick, median", 1000 * float(np.median(ticks_s)), "ms"),
+        Row("predictive tick, 99th percentile", 1000 * float(np.percentile(ticks_s, 99)), "ms"),
     ]
+    series = {
+        "limit_n": np.array(FORCES_N),
+        **{
+            f"{name}_peak_heave_mps2": np.array([case.index(one)[0, 0] for one in driven])
+            for name, driven in runs.items()
+        },
+        "time_s": np.arange(len(road) - 1)[::FINE_PER_PERIOD] * FINE_S,
+    }
+    for name, driven in runs.items():
+        series |= _series(name, driven[FORCES_N.index(SHOWN_N)])
     return Report(
         "Force limits over the bumpy road: regulator beside predictive controller",
         tuple(rows),
-        {
-            "limit_n": np.array(forces_n[1:]),
-            "regulator_peak_heave_mps2": np.array(heave["regulator"]),
-            "predictive_peak_heave_mps2": np.array(heave["predictive"]),
-            "time_s": np.arange(road.shape[0] - 1)[::5] * FINE_S,
-            **series,
-        },
+        series,
         {
             "noise factor": noise,
             "force rate limit (N/s)": rate_nps,
@@ -146,10 +145,12 @@ def run(
     )
 
 
-def _use_of_limits(label: str, driven: RideRun) -> list[Row]:
-    """Say how much travel, force and rate a run used."""
+def _rows(case: ride_cases.Case, label: str, driven: RideRun) -> list[Row]:
+    """Say how well a run rode, and how much travel, force and rate it used."""
+    index = case.index(driven)[0]
     rate = np.abs(np.diff(driven.force_n, axis=1)).max() / PERIOD_S
     return [
+        *(Row(f"{label}: {INDEX_NAMES[i]}", float(index[i]), INDEX_UNITS[i]) for i in _ROWS),
         Row(f"{label}: largest suspension travel", 1000 * float(np.abs(driven.suspension_m).max()), "mm"),
         Row(f"{label}: largest force", float(np.abs(driven.force_n).max()), "N"),
         Row(f"{label}: largest force rate", float(rate), "N/s"),
@@ -157,23 +158,19 @@ def _use_of_limits(label: str, driven: RideRun) -> list[Row]:
 
 
 def _series(name: str, driven: RideRun) -> dict[str, Array]:
+    """A run at SHOWN_N, once a control period."""
     return {
-        f"{name}_4_kn_heave_mps2": driven.accelerations[0, ::5, 0],
-        f"{name}_4_kn_travel_m": driven.suspension_m[0, ::5],
+        f"{name}_4_kn_heave_mps2": driven.accelerations[0, ::FINE_PER_PERIOD, 0],
+        f"{name}_4_kn_travel_m": driven.suspension_m[0, ::FINE_PER_PERIOD],
         f"{name}_4_kn_force_n": driven.force_n[0],
     }
 
 
 def plot(report: Report, directory: Path) -> list[Path]:
     """Draw the peak heave acceleration over the limit, and both controllers at 4 kN."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    directory.mkdir(parents=True, exist_ok=True)
-    s = {name: np.asarray(values) for name, values in report.series.items()}
-    figure, axes = plt.subplots(1, 4, figsize=(15, 3.5), layout="constrained")
+    s = report.arrays()
+    figure = new_figure(15, 3.5)
+    axes = figure.subplots(1, 4)
     for name, style in (("regulator", "s--"), ("predictive", "o-")):
         axes[0].plot(0.001 * s["limit_n"], s[f"{name}_peak_heave_mps2"], style, label=name)
         axes[1].plot(s["time_s"], s[f"{name}_4_kn_heave_mps2"], style[1:], label=name)
@@ -183,7 +180,4 @@ def plot(report: Report, directory: Path) -> list[Path]:
     for axis, label in zip(axes[1:], ("heave m/s$^2$", "FL travel mm", "FL force kN"), strict=True):
         axis.set(xlabel="time s", ylabel=f"{label}, limit 4 kN", xlim=(0, 3))
     axes[0].legend()
-    path = directory / "force_limits.png"
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-    return [path]
+    return [save(figure, directory / "force_limits.png")]

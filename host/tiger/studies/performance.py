@@ -40,6 +40,9 @@ INDEX_NAMES = (
     *(f"peak relative suspension deflection mu{i}" for i in range(1, 5)),
 )
 INDEX_UNITS = ("m/s^2",) * 2 + ("rad/s^2",) * 4 + ("-",) * 8
+RMS_BODY, RMS_TIRE_LOAD, PEAK_SUSPENSION = slice(1, 6, 2), slice(6, 10), slice(10, 14)
+"""Where the index has the accelerations of BODY, eta and mu."""
+BODY = ("heave", "pitch", "roll")
 
 SIMULATED = (IMU[0], *BODY_ACCELERATION[1:], *SUSPENSION, *TIRE)
 
@@ -93,6 +96,25 @@ def performance_index(p: FullCarParameters, rattle_space_m: float, run: RideRun)
     return np.asarray(np.hstack([body, _rms(eta), mu]), dtype=np.float64)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Milliseconds:
+    """How the car goes on from millisecond to millisecond: x' = a x + push force + drive."""
+
+    a: Array
+    push: Array
+    """What a force held for the millisecond adds, (14, 4)."""
+    drive: Array
+    """What the road adds, (runs, steps, FINE_PER_PERIOD, 14)."""
+
+    @classmethod
+    def over(cls, car: LinearModel, roads: Array) -> _Milliseconds:
+        """Sample the car's inputs (ROAD, FORCE): the road is straight between milliseconds."""
+        a, held, ramp = ride.hold(car.a, car.b, FINE_S)
+        start, end, push = held[:, :4] - ramp[:, :4], ramp[:, :4], held[:, 4:]
+        drive = roads[:, :-1] @ start.T + roads[:, 1:] @ end.T
+        return cls(a, push, drive.reshape(len(roads), -1, FINE_PER_PERIOD, 14))
+
+
 def fine_time_s(duration_s: float) -> Array:
     """Return the instants at which a road for `simulate` is to be evaluated, duration included."""
     steps = round(duration_s / ride.PERIOD_S)
@@ -119,14 +141,12 @@ def simulate(
     roads = np.broadcast_to(road_m, (len(seeds), *road_m.shape[-2:]))
     runs, steps = len(seeds), (roads.shape[1] - 1) // FINE_PER_PERIOD
     car = full_car(p, imu_offset_m).select(inputs=(*ROAD, *FORCE), outputs=(*SIMULATED, *IMU[1:]))
-    a, held, ramp = ride.hold(car.a, car.b, FINE_S)
-    start, end, push = held[:, :4] - ramp[:, :4], ramp[:, :4], held[:, 4:]
+    fine = _Milliseconds.over(car, roads)
 
     # Over one period: x goes through a^5, and each millisecond's drive through what is left of the period.
-    powers = [np.linalg.matrix_power(a, i) for i in range(FINE_PER_PERIOD + 1)]
-    drive = (roads[:, :-1] @ start.T + roads[:, 1:] @ end.T).reshape(runs, steps, FINE_PER_PERIOD, 14)
-    pushed = [powers[FINE_PER_PERIOD - 1 - j] @ push for j in range(FINE_PER_PERIOD)]
-    from_road = sum(drive[:, :, j] @ powers[FINE_PER_PERIOD - 1 - j].T for j in range(FINE_PER_PERIOD))
+    whole, *left = (np.linalg.matrix_power(fine.a, i) for i in range(FINE_PER_PERIOD, -1, -1))
+    from_road = sum(fine.drive[:, :, j] @ rest.T for j, rest in enumerate(left))
+    pushed = [rest @ fine.push for rest in left]
     late, late_fine = divmod(round(delay_s / FINE_S), FINE_PER_PERIOD)
     push_old = sum(pushed[:late_fine], np.zeros((14, 4)))
     push_new = sum(pushed[late_fine:], np.zeros((14, 4)))
@@ -150,25 +170,21 @@ def simulate(
         measured[k] = sample
         if controller is not None and state is not None:
             state, forces[k + late + 1] = controller.step(state, sample)
-        x = powers[-1] @ x + push_old @ forces[k] + push_new @ forces[k + 1] + road_steps[k]
+        x = whole @ x + push_old @ forces[k] + push_new @ forces[k + 1] + road_steps[k]
 
-    outputs = _between(car, a, push, drive, roads, states, forces, late_fine)
+    outputs = _between(car, fine, roads, states, forces, late_fine)
     acting = np.moveaxis(forces[1 : steps + 1], 2, 0)
     return RideRun(outputs, acting, np.moveaxis(measured, 2, 0))
 
 
 def _between(
-    car: LinearModel,
-    a: Array,
-    push: Array,
-    drive: Array,
-    roads: Array,
-    states: Array,
-    forces: Array,
-    late_fine: int,
+    car: LinearModel, fine: _Milliseconds, roads: Array, states: Array, forces: Array, late_fine: int
 ) -> Array:
-    """Fill in the outputs at every millisecond from the states at the samples, (runs, fine steps, 11)."""
-    runs, steps = drive.shape[:2]
+    """Fill in the outputs at every millisecond from the states at the samples, (runs, fine steps, 11).
+
+    For its first `late_fine` milliseconds a period still has the force of the one before.
+    """
+    runs, steps = fine.drive.shape[:2]
     rows = len(SIMULATED)
     c, d_road, d_force = car.c[:rows], car.d[:rows, :4], car.d[:rows, 4:]
     x = np.moveaxis(states, 2, 0)
@@ -178,7 +194,7 @@ def _between(
     for j in range(FINE_PER_PERIOD):
         acting = force[:, :steps] if j < late_fine else force[:, 1 : steps + 1]
         outputs[:, :, j] = x @ c.T + heights[:, :, j] @ d_road.T + acting @ d_force.T
-        x = x @ a.T + drive[:, :, j] + acting @ push.T
+        x = x @ fine.a.T + fine.drive[:, :, j] + acting @ fine.push.T
     return outputs.reshape(runs, steps * FINE_PER_PERIOD, rows)
 
 

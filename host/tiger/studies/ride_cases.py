@@ -13,7 +13,7 @@ from tiger.control import ride_bank, ride_designs
 from tiger.control.ride import ImuNoise
 from tiger.models.full_car import FullCarParameters
 from tiger.models.road import Bump, iso_road, rear_delay_s, wheel_heights_m
-from tiger.studies.performance import fine_time_s
+from tiger.studies.performance import fine_time_s, performance_index
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from tiger.config.vehicle import VehicleConfig
     from tiger.control.ride import RideController
     from tiger.control.ride_bank import RideBank
+    from tiger.studies.performance import RideRun
 
     Array = NDArray[np.float64]
 
@@ -54,6 +55,15 @@ class Case:
     car: FullCarParameters
     rattle_space_m: float
     max_force_n: float
+
+    @property
+    def iso_preview_s(self) -> float:
+        """How much later the rear wheels meet the ISO road than the front wheels."""
+        return self.car.wheelbase_m / ISO_SPEED_MPS
+
+    def index(self, run: RideRun) -> Array:
+        """Return the performance index of a run of this car, (runs, 14) in the order of INDEX_NAMES."""
+        return performance_index(self.car, self.rattle_space_m, run)
 
 
 def load_case(vehicle: str) -> Case:
