@@ -12,16 +12,18 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from matplotlib.figure import Figure
+
     from tiger.logs.reader import Log
     from tiger.record import Record
 
 CORNERS = ("FL", "FR", "RL", "RR")
 WIDTH_IN, ROW_IN = 10.0, 2.4
 MOST_POINTS = 20_000  # of one curve; a longer log is thinned
-SHADES = {
-    DaemonState.ARMED: "#e8f5e9",
-    DaemonState.FAULT: "#ffebee",
-    DaemonState.ESTOP: "#ffcdd2",
+SHADES = {  # behind the curves: what the robot was meanwhile
+    DaemonState.ARMED: ("armed", "#e8f5e9"),
+    DaemonState.FAULT: ("fault", "#ffebee"),
+    DaemonState.ESTOP: ("emergency stop", "#ffcdd2"),
 }
 
 Series = dict[str, dict[str, list[float]]]  # panel -> curve -> values
@@ -56,11 +58,11 @@ def _attitude(record: Record) -> list[Curve]:
         return []
     degrees = math.degrees
     curves = [
-        ("roll, degrees", "body", degrees(estimate.roll_rad)),
         ("roll, degrees", "ground", degrees(estimate.plate_roll_rad)),
+        ("roll, degrees", "body", degrees(estimate.roll_rad)),
         ("roll, degrees", "wanted", degrees(command.roll_rad)),
-        ("pitch, degrees", "body", degrees(estimate.pitch_rad)),
         ("pitch, degrees", "ground", degrees(estimate.plate_pitch_rad)),
+        ("pitch, degrees", "body", degrees(estimate.pitch_rad)),
         ("pitch, degrees", "wanted", degrees(command.pitch_rad)),
         ("rates, degrees/s", "roll", degrees(estimate.roll_rate_radps)),
         ("rates, degrees/s", "pitch", degrees(estimate.pitch_rate_radps)),
@@ -126,14 +128,17 @@ def _draw(path: Path, times: list[float], states: list[DaemonState], series: Ser
     FigureCanvasAgg(figure)
     rows: Any = figure.subplots(len(series), 1, sharex=True, squeeze=False)
     every = max(len(times) // MOST_POINTS, 1)
+    names = dict.fromkeys(name for curves in series.values() for name in curves)
+    colours = {name: f"C{number}" for number, name in enumerate(names)}  # the same in every panel
     for axes, (panel, curves) in zip(rows[:, 0], series.items(), strict=True):
         for name, values in curves.items():
-            axes.plot(times[: len(values) : every], values[::every], linewidth=0.8, label=name)
+            axes.plot(times[: len(values) : every], values[::every], colours[name], linewidth=0.8, label=name)
         axes.set_ylabel(panel, fontsize=8)
         axes.grid(visible=True, linewidth=0.3)
         if any(curves):
-            axes.legend(loc="upper right", fontsize=7, ncols=2)
+            axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=7, frameon=False)
         _shade(axes, times, states)
+    _explain_shades(figure, states)
     rows[-1, 0].set_xlabel("time, s")
     figure.savefig(path, dpi=110)
     return path
@@ -145,5 +150,16 @@ def _shade(axes: Any, times: list[float], states: list[DaemonState]) -> None:
     for i in range(1, len(states) + 1):
         if i == len(states) or states[i] is not states[start]:
             if states[start] in SHADES:
-                axes.axvspan(times[start], times[i - 1], color=SHADES[states[start]], linewidth=0)
+                _, colour = SHADES[states[start]]
+                axes.axvspan(times[start], times[min(i, len(times) - 1)], color=colour, linewidth=0)
             start = i
+
+
+def _explain_shades(figure: Figure, states: list[DaemonState]) -> None:
+    """A legend above all panels, of the shades that were used."""
+    from matplotlib.patches import Patch
+
+    seen = set(states)
+    patches = [Patch(color=colour, label=text) for state, (text, colour) in SHADES.items() if state in seen]
+    if patches:
+        figure.legend(handles=patches, loc="outside upper center", ncols=len(patches), fontsize=8)

@@ -6,6 +6,7 @@ import csv
 import json
 from typing import TYPE_CHECKING
 
+from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from tiger.cli.log import app
@@ -13,6 +14,7 @@ from tiger.cli.log import app
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import pytest
     from tests.host.logs.conftest import Run
 
 
@@ -38,6 +40,19 @@ def test_plot_draws_every_sheet(run: Run, tmp_path: Path) -> None:
     _call("plot", run.folder, "--out", tmp_path)
     for name in ("attitude", "strokes", "wheels", "links"):
         assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_plot_explains_its_shades_and_keeps_the_colour_of_a_name(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    _call("plot", run.folder, "--out", tmp_path)
+    for figure in drawn:
+        (shades,) = figure.legends
+        assert [text.get_text() for text in shades.get_texts()] == ["armed", "emergency stop"]
+        colours = {(line.get_label(), line.get_color()) for axes in figure.axes for line in axes.lines}
+        assert len(colours) == len({name for name, _ in colours})
 
 
 def test_csv_keeps_every_digit(run: Run, tmp_path: Path) -> None:
