@@ -67,6 +67,23 @@ class LoopConfig(_Section):
         return self
 
 
+class LogConfig(_Section):
+    """How much room the logs of `tiger run --log` take; above it the oldest files are deleted."""
+
+    part_mb: Annotated[float, Field(ge=0.1, le=4000.0, strict=True)]
+    total_mb: Positive
+    free_mb: NonNegative
+
+    @model_validator(mode="after")
+    def _holds_more_than_one_part(self) -> LogConfig:
+        if self.total_mb < 2.0 * self.part_mb:
+            raise ValueError(
+                f"total_mb = {self.total_mb:g} does not hold two files of part_mb = {self.part_mb:g}: "
+                "raise it, or make the files smaller"
+            )
+        return self
+
+
 class ObserverConfig(_Section):
     """Noise of the IMU and restlessness of the ground, as the attitude observer assumes them."""
 
@@ -399,6 +416,7 @@ class RobotConfig(_Section):
     vehicle: VehicleConfig
     ports: PortsConfig
     loop: LoopConfig
+    log: LogConfig
     observer: ObserverConfig
     leveling: LevelingConfig
     contact: ContactConfig

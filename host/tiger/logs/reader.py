@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from tiger.config.robot import RobotConfig
 from tiger.logs import cdr
 from tiger.logs.errors import LogError
-from tiger.logs.store import NAME
+from tiger.logs.store import in_order, session_of
 from tiger.logs.topics import HEALTH, TICK, Health, message_type
 from tiger.record import Record
 
@@ -201,8 +201,11 @@ def open_log(path: str | Path) -> Log:
         if not path.exists():
             raise LogError(f"{path}: is not there; name a log file, or a folder with logs")
         return Log([path])
-    names = sorted(file.name for file in path.iterdir() if NAME.fullmatch(file.name))
-    if not names:
+    try:
+        parts = in_order(path)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror}); name another folder") from error
+    if not parts:
         raise LogError(f"{path}: holds no logs (tiger-*.mcap); name a log file, or a folder with logs")
-    session = names[-1].rpartition("-")[0]
-    return Log([path / name for name in names if name.rpartition("-")[0] == session])
+    newest = session_of(parts[-1])
+    return Log([part for part in parts if session_of(part) == newest])

@@ -69,13 +69,11 @@ class LogSession:
 
     Args:
         folder: where the files go; made if it is not there.
-        robot: the configuration that the daemon runs with: it goes into the log, and replay uses it.
+        robot: the configuration that the daemon runs with: it goes into the log, and replay uses it. Its
+            `log` limits the room that logs take.
         clock: the daemon's clock.
         about: more to know about this run, such as the command line.
         epoch_ns: when the clock was zero, in ns since 1970; the computer's time says so by default.
-        part_bytes: size at which a new file is begun.
-        total_bytes: size of all logs in the folder, above which the oldest are deleted.
-        free_bytes: space on the disk, below which the oldest are deleted.
     """
 
     def __init__(
@@ -85,9 +83,6 @@ class LogSession:
         clock: Clock,
         about: dict[str, str] | None = None,
         epoch_ns: int | None = None,
-        part_bytes: int = 64_000_000,
-        total_bytes: int = 4_000_000_000,
-        free_bytes: int = 500_000_000,
     ) -> None:
         self.folder = Path(folder).absolute()
         self.dropped_packets = 0
@@ -101,9 +96,9 @@ class LogSession:
             epoch_ns=self._epoch_ns,
             metadata={**_circumstances(), **(about or {})},
             attachments={"robot.json": robot.model_dump_json(indent=1), **_wire_description()},
-            part_bytes=part_bytes,
-            total_bytes=total_bytes,
-            free_bytes=free_bytes,
+            part_bytes=round(robot.log.part_mb * 1e6),
+            total_bytes=round(robot.log.total_mb * 1e6),
+            free_bytes=round(robot.log.free_mb * 1e6),
         )
         self._socket: socket.socket | None = None
         self._process: subprocess.Popen[bytes] | None = None

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from tiger.logs.packets import Start
 
-NAME = re.compile(r"tiger-\d{8}-\d{6}\w*-\d{3,}\.mcap")
+NAME = re.compile(r"tiger-(?P<begun>\d{8}-\d{6})(_(?P<again>\d+))?-(?P<part>\d{3,})\.mcap")
 CHUNK_BYTES = 1_000_000
 CHUNKS_PER_PART = 20  # at least: a part grows by whole chunks, and shall not outgrow its size by one
 PROFILE = "ros2"
@@ -27,6 +27,22 @@ PROFILE = "ros2"
 def part_name(session: str, number: int) -> str:
     """File name of a part."""
     return f"{session}-{number:03d}.mcap"
+
+
+def in_order(folder: Path) -> list[Path]:
+    """The logs in a folder from the oldest part to the newest. Raises OSError."""
+    found = [(match, path) for path in folder.iterdir() if (match := NAME.fullmatch(path.name))]
+    return [path for _, path in sorted((_age(match), path) for match, path in found)]
+
+
+def session_of(path: Path) -> str:
+    """Name of the session that a part belongs to."""
+    return path.name.rpartition("-")[0]
+
+
+def _age(name: re.Match[str]) -> tuple[str, int, int]:
+    """Sorts as time does: as text, part 1000 would come before part 999."""
+    return name["begun"], int(name["again"] or 0), int(name["part"])
 
 
 class LogFiles:
@@ -105,11 +121,13 @@ class LogFiles:
 
     def _make_room(self) -> None:
         """Delete the oldest logs above the limit, or while the disk is nearly full; never the one at hand."""
-        logs = sorted(path for path in self._folder.iterdir() if NAME.fullmatch(path.name))
-        total = sum(path.stat().st_size for path in logs)
-        for path in logs:
+        logs = in_order(self._folder)
+        sizes = {path: path.stat().st_size for path in logs if path.exists()}  # another one may tidy up too
+        total = sum(sizes.values())
+        for path, size in sizes.items():
             full = shutil.disk_usage(self._folder).free < self._start.free_bytes
-            if path == self._path or not (full or total > self._start.total_bytes):
+            if not (full or total > self._start.total_bytes):
                 return
-            total -= path.stat().st_size
-            path.unlink()
+            if path != self._path:
+                total -= size
+                path.unlink(missing_ok=True)

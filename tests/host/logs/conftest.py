@@ -32,11 +32,13 @@ class Run(NamedTuple):
     records: list[Record]
 
 
-def log_run(folder: Path, end_s: float = END_S, part_bytes: int = 64_000_000) -> Run:
+def log_run(folder: Path, end_s: float = END_S, part_mb: float = 64.0) -> Run:
     """Arm, level on a tilting plate, drive, press the emergency stop."""
-    rig = Rig(load_robot(), load_scenario("shaking-plate"), seed=3)
+    robot = load_robot()
+    robot = robot.model_copy(update={"log": robot.log.model_copy(update={"part_mb": part_mb})})
+    rig = Rig(robot, load_scenario("shaking-plate"), seed=3)
     records: list[Record] = []
-    with LogSession(folder, rig.config, rig.clock, epoch_ns=EPOCH_NS, part_bytes=part_bytes) as log:
+    with LogSession(folder, rig.config, rig.clock, epoch_ns=EPOCH_NS) as log:
         rig.daemon = Daemon(rig.config, log.tap(rig.ports), rig.clock)
         actions = {
             ARM_S: rig.daemon.arm,

@@ -66,7 +66,7 @@ def test_replay_begins_in_the_middle_at_a_checkpoint(
 ) -> None:
     """The first part is gone, as when the oldest logs gave way."""
     monkeypatch.setattr(session, "CHECKPOINT_PERIOD_NS", 100_000_000)
-    again = log_a_run(tmp_path, part_bytes=800_000)
+    again = log_a_run(tmp_path, part_mb=0.8)
     log = open_log(tmp_path)
     whole = replay(log)
     assert whole.exact

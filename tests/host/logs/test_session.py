@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from tests.host.logs.conftest import Run
 
+    from tiger.config.robot import RobotConfig
     from tiger.record import Record
 
 TICK_S = 0.005
@@ -249,10 +250,14 @@ def test_health_is_said_again_after_a_gap(run: Run, robot, tmp_path: Path) -> No
     assert [record.links for _, record in open_log(tmp_path).records()][-1] == last.links[:1]
 
 
+def with_room(robot: RobotConfig, **limits: float) -> RobotConfig:
+    return robot.model_copy(update={"log": robot.log.model_copy(update=limits)})
+
+
 def test_a_log_grows_in_parts_and_each_says_what_it_is_about(
     log_a_run: Callable[..., Run], tmp_path: Path
 ) -> None:
-    again = log_a_run(tmp_path, end_s=5.0, part_bytes=90_000)
+    again = log_a_run(tmp_path, end_s=5.0, part_mb=0.09)
     log = open_log(tmp_path)
     assert len(log.files) >= 2
     assert [record for _, record in log.records()] == again.records
@@ -270,10 +275,32 @@ def test_the_oldest_parts_give_way_when_all_together_are_too_large(robot, tmp_pa
     old.write_bytes(bytes(2_000_000))
     mine = tmp_path / "precious.mcap"
     mine.write_bytes(bytes(2_000_000))
-    with LogSession(tmp_path, robot, MonotonicClock(), total_bytes=1_000_000):
+    with LogSession(tmp_path, with_room(robot, total_mb=1.0), MonotonicClock()):
         pass
     assert not old.exists()
     assert mine.exists()
+
+
+def test_the_thousandth_part_is_newer_than_the_one_before(robot, tmp_path: Path) -> None:
+    session = "tiger-20200101-000000"
+    parts = [
+        tmp_path / f"{session}{again}-{part:03d}.mcap" for again in ("", "_2", "_10") for part in (999, 1000)
+    ]
+    for part in parts:
+        part.write_bytes(bytes(1_000_000))
+    assert [file.path for file in open_log(tmp_path).files] == parts[-2:]
+    with LogSession(tmp_path, with_room(robot, total_mb=3.5), MonotonicClock()):
+        pass
+    assert [part.exists() for part in parts] == [False, False, False, True, True, True]
+
+
+def test_a_clock_that_was_set_back_lets_the_logs_of_later_dates_give_way(robot, tmp_path: Path) -> None:
+    later = tmp_path / "tiger-29990101-000000-000.mcap"
+    later.write_bytes(bytes(2_000_000))
+    with LogSession(tmp_path, with_room(robot, total_mb=1.0), MonotonicClock()) as log:
+        pass
+    assert not later.exists()
+    assert log.path.exists()
 
 
 def test_a_folder_that_cannot_be_written_is_said_before_anything_runs(robot, tmp_path: Path) -> None:
