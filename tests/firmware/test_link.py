@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import random
+import re
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
@@ -36,6 +38,8 @@ from tiger.protocol.messages import (
 )
 
 HASH = SCHEMA_HASH[BoardKind.MEGA_SUSPENSION]
+VERSION_H = Path(__file__).parents[2] / "firmware/libraries/TigerCore/src/tiger/version.h"
+FW_VERSION = tuple(int(part) for part in re.findall(r"kVersion\w+ = (\d+);", VERSION_H.read_text()))
 
 
 # --------------------------------------------------------------------------------------------- introduction
@@ -55,6 +59,7 @@ def test_every_board_answers_hello_with_who_it_is(kind, make_wire):
     assert reply.host_nonce == 4711
     assert reply.board_uid == 0xCAFE
     assert reply.reset_cause == POWER_ON
+    assert reply.fw_version == FW_VERSION
 
 
 def test_a_board_introduces_itself_at_boot_and_once_a_second_while_disarmed(make_rig):
@@ -176,6 +181,7 @@ def test_health_reports_loop_times_and_the_watchdogs_margin(rig):
     assert health.faults == 0
     assert health.overruns == 0
     assert health.loop_min_us == health.loop_max_us == 250
+    assert health.supply_mv == 5000
     assert health.watchdog_margin_ms == 23  # fed every 10 ms
 
 

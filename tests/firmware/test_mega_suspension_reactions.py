@@ -63,6 +63,17 @@ def test_outputs_are_off_and_link_lost_is_latched_within_300_ms_of_silence(armed
     assert armed.faults() == {Fault.LINK_LOST}
 
 
+def test_holding_and_link_loss_come_60_and_250_ms_after_the_last_setpoint(armed):
+    """To the tick of 10 ms, and the milliseconds that a setpoint and its answer are on the line."""
+    moving(armed)
+    armed.run_until(lambda: armed.time_ms % 10 == 1, 10)
+    armed.rates_mmps = None
+    holding_ms = armed.run_until(lambda: armed.state.state == BoardState.HOLDING, 300)
+    assert 60 <= holding_ms <= 73
+    lost_ms = holding_ms + armed.run_until(lambda: armed.state.state == BoardState.FAULT, 300)
+    assert 250 <= lost_ms <= 263
+
+
 def test_a_silence_of_240_ms_is_no_link_loss(armed):
     moving(armed)
     armed.run_until(lambda: armed.time_ms % 10 == 1, 10)
@@ -119,6 +130,16 @@ def test_a_setpoint_40_ms_old_is_accepted(armed):
     armed.run_ms(300)
     assert armed.state.state == BoardState.ARMED
     assert not armed.is_off
+
+
+def test_a_setpoint_is_dropped_from_51_ms_of_age_on(armed):
+    moving(armed)
+    before = armed.health().setpoint_rejects
+    for age_ms in range(45, 56):
+        armed.send_setpoint(FORWARD, host_ms=armed.time_ms - age_ms)
+        armed.run_ms(5)
+    assert armed.health().setpoint_rejects - before == 5
+    assert armed.state.state == BoardState.ARMED
 
 
 def test_age_counts_from_any_offset_of_the_clocks_and_over_their_wrap(armed):
@@ -194,6 +215,24 @@ def test_estop_input_switches_off_within_20_ms_and_stays_off_after_release(armed
     armed.run_ms(300)
     assert armed.is_off
     assert armed.state.state == BoardState.ESTOP
+
+
+@pytest.mark.parametrize("by_input", [True, False])
+def test_estop_switches_off_within_3_ms_at_any_moment_of_the_tick(armed, by_input):
+    for phase_ms in range(10):
+        armed.rates_mmps = FORWARD
+        armed.run_until(lambda at=phase_ms: armed.time_ms % 10 == at and not armed.is_off, 60)
+        if by_input:
+            armed.estop = True
+        else:
+            armed.wire.send(Estop(0))
+        assert armed.run_until(lambda: armed.is_off, 3) <= 3
+        armed.run_ms(10)
+        assert armed.state.state == BoardState.ESTOP
+        armed.estop, armed.rates_mmps = False, None
+        armed.run_ms(10)
+        assert armed.clear_faults().status == AckStatus.OK
+        armed.arm()
 
 
 def test_estop_cannot_be_cleared_while_pressed_and_needs_a_fresh_arm_after(armed):

@@ -110,3 +110,21 @@ def test_clearing_an_estop_leaves_the_other_faults(rig):
 def test_a_fault_names_where_it_was_seen(rig):
     cut_pot(rig)
     assert rig.health().fault_detail == 2
+
+
+def test_a_fault_keeps_the_place_where_it_was_seen_first(rig):
+    cut_pot(rig)
+    rig.read_pot = lambda corner, counts: 1023.0 if corner in (2, 3) else counts
+    rig.run_ms(60)
+    assert rig.faults() == {Fault.POT_OPEN}
+    assert rig.health().fault_detail == 2
+
+
+def test_clearing_another_fault_leaves_a_pressed_estop_as_it_is(rig):
+    cut_pot(rig)
+    press_estop(rig)
+    rig.read_pot = lambda corner, counts: counts
+    rig.run_ms(300)
+    assert rig.clear_faults().status == AckStatus.STILL_PRESENT
+    assert rig.faults() == {Fault.ESTOP}
+    assert rig.state.state == S.ESTOP
