@@ -11,10 +11,18 @@ import pytest
 import typer
 
 from tiger.cli.answers import scenario_names
-from tiger.cli.main import COMMANDS, _command, app
+from tiger.cli.commands import COMMANDS, _command, app
+from tiger.cli.study import STUDIES
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([ROOT / "README.md", ROOT / "protocol" / "README.md", *(ROOT / "docs").glob("*.md")])
+PAGES = sorted(
+    [
+        ROOT / "README.md",
+        ROOT / "protocol" / "README.md",
+        ROOT / "firmware" / "native" / "README.md",
+        *(ROOT / "docs").glob("*.md"),
+    ]
+)
 PLACEHOLDER = re.compile(r"[A-Z]+|\.\.\.|.*\$.*|tcp://HOST:\d+")
 FOLDERS = ("bench", "deploy", "docs", "firmware", "host", "protocol", "scripts", "tests")
 
@@ -138,3 +146,42 @@ def test_every_file_that_the_pages_point_to_is_there() -> None:
             if not any(ROOT.glob(path)):
                 missing.append(f"{line.where}: {path}")
     assert not missing
+
+
+def links(page: Path) -> list[tuple[Path, str]]:
+    """What a page links to beside it in the project: the file and the heading (empty: all of it)."""
+    found = re.findall(r"\]\(([^)#\s]*)(?:#([^)\s]+))?\)", page.read_text(encoding="utf-8"))
+    return [(page.parent / path if path else page, part) for path, part in found if "://" not in path]
+
+
+def anchors(page: Path) -> set[str]:
+    """The names under which the headings of a page can be linked to."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+
+
+def test_every_heading_that_the_pages_point_to_is_there() -> None:
+    wanted = [(page, target, part) for page in PAGES for target, part in links(page) if part]
+    assert len(wanted) > 3
+    assert not [
+        f"{page.name}: {target.name}#{part}"
+        for page, target, part in wanted
+        if target.suffix == ".md" and part not in anchors(target)
+    ]
+
+
+def test_every_page_and_every_picture_is_shown_on_another_page() -> None:
+    shown = {target.resolve() for page in PAGES for target, _ in links(page) if target != page}
+    pages_and_pictures = [*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "img").iterdir()]
+    assert not [path.name for path in pages_and_pictures if path not in shown]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_a_page_begins_with_its_heading(page: Path) -> None:
+    lines = page.read_text(encoding="utf-8").splitlines()
+    assert next(line for line in lines if not line.startswith("<!--")).startswith("# ")
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_every_study_is_on_a_page(study: str) -> None:
+    assert any(re.search(rf"\bstudy {study}\b", line.text) for line in CODE)
