@@ -83,6 +83,9 @@ def _show(summary: Summary) -> None:
     for file in summary.files:
         end = "" if file["complete"] else ", not finished"
         console.print(f"  {file['name']}: {file['bytes'] / 1e6:.2f} MB{end}", markup=False)
+    if summary.parts_before:
+        gone = f"It begins with part {summary.parts_before} of its run; the parts before are not here."
+        console.print(gone, style="yellow")
     for name, value in summary.about.items():
         console.print(f"  {name}: {value}", style="dim", markup=False)
 

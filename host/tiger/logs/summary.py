@@ -24,6 +24,7 @@ class Summary:
     files: list[dict[str, Any]] = field(default_factory=list)
     start_ns: int = 0
     duration_s: float = 0.0
+    parts_before: int = 0  # of the same run that are not here
     topics: dict[str, int] = field(default_factory=dict)
     ticks: int = 0
     missing_ticks: int = 0
@@ -40,6 +41,7 @@ class Summary:
             "files": self.files,
             "start_ns": self.start_ns,
             "duration_s": self.duration_s,
+            "parts_before": self.parts_before,
             "topics": self.topics,
             "ticks": self.ticks,
             "missing_ticks": self.missing_ticks,
@@ -85,6 +87,7 @@ def summarise(log: Log) -> Summary:
         elif isinstance(value, LogStatus):
             summary.dropped_packets = max(summary.dropped_packets, value.dropped_packets)
     summary.about = log.about
+    summary.parts_before = int(log.about.get("part", 0))
     summary.files = [
         {"name": file.path.name, "bytes": file.path.stat().st_size, "complete": file.complete}
         for file in log.files

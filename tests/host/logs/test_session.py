@@ -268,6 +268,9 @@ def test_a_log_grows_in_parts_and_each_says_what_it_is_about(
         assert file.path.stat().st_size < 400_000
         _, first = next(open_log(file.path).records())
         assert first == again.records[first.tick]  # the links' health included
+    assert summarise(log).parts_before == 0
+    log.files[0].path.unlink()
+    assert summarise(open_log(tmp_path)).parts_before == 1
 
 
 def test_the_oldest_parts_give_way_when_all_together_are_too_large(robot, tmp_path: Path) -> None:
