@@ -8,8 +8,10 @@ or to a Dask cluster through joblib's backend for it.
 
 from __future__ import annotations
 
-from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,22 +20,21 @@ from tiger.control import ride_designs
 from tiger.control.margins import closed_loop, margins
 from tiger.control.ride import PERIOD_S, ImuNoise
 from tiger.studies import ride_cases
-from tiger.studies.performance import FINE_S, performance_index, simulate
-from tiger.studies.report import Report, Row
+from tiger.studies.figures import new_figure, save
+from tiger.studies.performance import BODY, FINE_S, PEAK_SUSPENSION, RMS_BODY, RMS_TIRE_LOAD, simulate
+from tiger.studies.report import Report, Row, unwatched
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from contextlib import AbstractContextManager
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from tiger.control.ride import RideController
+    from tiger.studies.report import Progress
 
     Array = NDArray[np.float64]
 
-BODY_ROWS = (1, 3, 5)
-BODY = ("heave", "pitch", "roll")
 COLUMNS = (
     *(f"{body} cut" for body in BODY),
     *(f"nominal {body} cut" for body in BODY),
@@ -41,6 +42,9 @@ COLUMNS = (
     "peak mu",
     "largest pole",
 )
+CUT, NOMINAL_CUT = slice(0, 3), slice(3, 6)
+WORST_ETA_RATIO, PEAK_MU, LARGEST_POLE = 6, 7, 8
+"""Where the columns are."""
 DESIGNS: dict[str, tuple[ride_designs.RideTuning, bool, int]] = {
     "robust": (ride_designs.ROBUST, False, 1),
     "holding": (ride_designs.HOLDING_PLAIN, False, 0),
@@ -49,6 +53,17 @@ DESIGNS: dict[str, tuple[ride_designs.RideTuning, bool, int]] = {
 }
 """Name -> (tuning, preview, samples of delay it is designed for)."""
 BATCH = 10
+
+
+class Spread(NamedTuple):
+    """How far the drawn vehicles and delays lie from the nominal ones, uniformly."""
+
+    com: float
+    mass: float
+    spring: float
+    """Half-widths of relative errors; the centre of mass moves in x and y."""
+    delay_ms: float
+    delay_spread_ms: float
 
 
 def build(design: str, case: ride_cases.Case, speed_mps: float) -> RideController:
@@ -60,25 +75,21 @@ def build(design: str, case: ride_cases.Case, speed_mps: float) -> RideControlle
     return tuning.controller(case.car, ImuNoise(), seen, delay_samples=delay)
 
 
-def sample(vehicle: str, design: str, road_class: str, spread: tuple[float, ...], seeds: list[int]) -> Array:
-    """Run the given seeds and return COLUMNS, shape (len(seeds), 9); what a worker does.
-
-    spread: fractions for the centre of mass, mass and springs, then nominal delay and its spread in
-    milliseconds.
-    """
+def sample(vehicle: str, design: str, road_class: str, spread: Spread, seeds: list[int]) -> Array:
+    """Run the given seeds and return COLUMNS, shape (len(seeds), 9); what a worker does."""
     case = ride_cases.load_case(vehicle)
     controller = build(design, case, ride_cases.ISO_SPEED_MPS)
     # The road of the nominal wheelbase serves all: a moved centre of mass does not change the wheelbase.
     roads = ride_cases.iso_roads(case.car, seeds, road_class)
     late = controller.delay_samples * PERIOD_S
     runs = tuple(seeds)
-    still = performance_index(case.car, case.rattle_space_m, simulate(case.car, roads, seeds=runs))
-    active = simulate(case.car, roads, controller, ImuNoise(), runs, delay_s=late)
-    nominal = 100 * (1 - performance_index(case.car, case.rattle_space_m, active) / still)
+    passive = case.index(simulate(case.car, roads, seeds=runs))
+    active = case.index(simulate(case.car, roads, controller, ImuNoise(), runs, delay_s=late))
+    nominal_cut = 100 * (1 - active / passive)[:, RMS_BODY]
     return np.array(
         [
-            _one(case, controller, road, spread, seed, own[list(BODY_ROWS)])
-            for seed, road, own in zip(seeds, roads, nominal, strict=True)
+            _one(case, controller, road, spread, seed, own)
+            for seed, road, own in zip(seeds, roads, nominal_cut, strict=True)
         ]
     )
 
@@ -87,10 +98,10 @@ def _one(
     case: ride_cases.Case,
     controller: RideController,
     road: Array,
-    spread: tuple[float, ...],
+    spread: Spread,
     seed: int,
-    nominal: Array,
-) -> list[float]:
+    nominal_cut: Array,
+) -> Array:
     """Draw one vehicle and one delay, drive the road passive and active, and return COLUMNS."""
     com, mass, spring, delay_ms, delay_spread_ms = spread
     rng = np.random.default_rng([seed, 7])
@@ -99,13 +110,13 @@ def _one(
     delay_s = max(0.0, (delay_ms + float(extra)) * FINE_S)
     pole = float(np.abs(closed_loop(car, controller, delay_s, imu).poles()).max())
     if pole >= 1:
-        return [np.nan] * 3 + [*nominal] + [np.nan, np.inf, pole]
-    still = performance_index(car, case.rattle_space_m, simulate(car, road, imu_offset_m=imu))[0]
-    run_ = simulate(car, road, controller, ImuNoise(), (seed,), imu, delay_s)
-    index = performance_index(car, case.rattle_space_m, run_)[0]
-    ratio = index / still
-    cuts = 100 * (1 - ratio[list(BODY_ROWS)])
-    return [*cuts, *nominal, float(ratio[6:10].max()), float(index[10:].max()), pole]
+        return np.r_[[np.nan] * 3, nominal_cut, np.nan, np.inf, pole]
+    drawn = replace(case, car=car)
+    passive = drawn.index(simulate(car, road, imu_offset_m=imu))[0]
+    active = drawn.index(simulate(car, road, controller, ImuNoise(), (seed,), imu, delay_s))[0]
+    left = active / passive
+    cut = 100 * (1 - left[RMS_BODY])
+    return np.r_[cut, nominal_cut, left[RMS_TIRE_LOAD].max(), active[PEAK_SUSPENSION].max(), pole]
 
 
 def run(
@@ -121,7 +132,7 @@ def run(
     first_seed: int = 0,
     jobs: int = -1,
     cluster: str = "",
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = unwatched,
 ) -> Report:
     """Run the Monte Carlo on ISO roads of the given class at 10 m/s.
 
@@ -130,38 +141,14 @@ def run(
     """
     case = ride_cases.load_case(vehicle)
     controller = build(design, case, ride_cases.ISO_SPEED_MPS)
-    spread = (com, mass, spring, delay_ms, delay_spread_ms)
-    seeds = [
-        list(range(first_seed + i, min(first_seed + i + BATCH, first_seed + runs)))
-        for i in range(0, runs, BATCH)
-    ]
-    table = _spread_out(vehicle, design, road_class, spread, seeds, jobs, cluster, progress)
-    lost = table[:, 3:6] - table[:, :3]
-    rows = [
-        Row("runs", len(table), "-"),
-        Row("stable", 100 * float((table[:, 8] < 1).mean()), "%"),
-        Row("largest pole of any run", float(table[:, 8].max()), "-"),
-        Row("peak mu of any run", float(table[:, 7].max()), "-"),
-        Row("worst eta, active over passive, median", float(np.nanmedian(table[:, 6])), "-"),
-    ]
-    for i, body in enumerate(BODY):
-        rows += [
-            Row(f"rms {body} cut, nominal, median", float(np.median(table[:, 3 + i])), "%"),
-            Row(f"rms {body} cut, median", float(np.nanmedian(table[:, i])), "%"),
-            Row(f"rms {body} cut, 5th percentile", float(np.nanpercentile(table[:, i], 5)), "%"),
-            Row(f"rms {body} cut, points lost in the median", float(np.nanmedian(lost[:, i])), "%"),
-        ]
-    own = margins(case.car, controller)
-    rows += [
-        Row("disk margin, one loop at a time", own.disk_margin, "-"),
-        Row("disk margin, all loops at once", own.multiloop_disk_margin, "-"),
-        Row("guaranteed gain margin", own.gain_margin_db, "dB"),
-        Row("guaranteed phase margin", own.phase_margin_deg, "deg"),
-        Row("delay margin beyond the designed delay", 1000 * own.delay_margin_s, "ms"),
-    ]
+    spread = Spread(com, mass, spring, delay_ms, delay_spread_ms)
+    seeds = range(first_seed, first_seed + runs)
+    batches = [list(seeds[i : i + BATCH]) for i in range(0, runs, BATCH)]
+    work = partial(sample, vehicle, design, road_class, spread)
+    table = _gather(work, batches, jobs, cluster, progress)
     return Report(
         f"Monte Carlo of the {design} design",
-        tuple(rows),
+        (*_outcome_rows(table), *_margin_rows(case, controller)),
         {name.replace(" ", "_") + "_value": table[:, i] for i, name in enumerate(COLUMNS)},
         {
             "road": f"ISO class {road_class} at {ride_cases.ISO_SPEED_MPS} m/s, one road per run",
@@ -175,59 +162,77 @@ def run(
     )
 
 
-def _spread_out(
-    vehicle: str,
-    design: str,
-    road_class: str,
-    spread: tuple[float, ...],
-    seeds: list[list[int]],
-    jobs: int,
-    cluster: str,
-    progress: Callable[[float], None] | None,
+def _outcome_rows(table: Array) -> list[Row]:
+    """What became of the drawn vehicles, from their COLUMNS (runs, 9)."""
+    rows = [
+        Row("runs", len(table), "-"),
+        Row("stable", 100 * float((table[:, LARGEST_POLE] < 1).mean()), "%"),
+        Row("largest pole of any run", float(table[:, LARGEST_POLE].max()), "-"),
+        Row("peak mu of any run", float(table[:, PEAK_MU].max()), "-"),
+        Row("worst eta, active over passive, median", float(np.nanmedian(table[:, WORST_ETA_RATIO])), "-"),
+    ]
+    for body, cut, nominal in zip(BODY, table[:, CUT].T, table[:, NOMINAL_CUT].T, strict=True):
+        rows += [
+            Row(f"rms {body} cut, nominal, median", float(np.median(nominal)), "%"),
+            Row(f"rms {body} cut, median", float(np.nanmedian(cut)), "%"),
+            Row(f"rms {body} cut, 5th percentile", float(np.nanpercentile(cut, 5)), "%"),
+            Row(f"rms {body} cut, points lost in the median", float(np.nanmedian(nominal - cut)), "%"),
+        ]
+    return rows
+
+
+def _margin_rows(case: ride_cases.Case, controller: RideController) -> list[Row]:
+    """How far the loop is from instability on the very vehicle it is designed for."""
+    own = margins(case.car, controller)
+    return [
+        Row("disk margin, one loop at a time", own.disk_margin, "-"),
+        Row("disk margin, all loops at once", own.multiloop_disk_margin, "-"),
+        Row("guaranteed gain margin", own.gain_margin_db, "dB"),
+        Row("guaranteed phase margin", own.phase_margin_deg, "deg"),
+        Row("delay margin beyond the designed delay", 1000 * own.delay_margin_s, "ms"),
+    ]
+
+
+def _gather(
+    work: Callable[[list[int]], Array], batches: list[list[int]], jobs: int, cluster: str, progress: Progress
 ) -> Array:
-    """Run the batches where they belong and collect them in order."""
-    from joblib import Parallel, delayed, parallel_config
+    """Do the batches of work where they belong and return their rows in order."""
+    from joblib import Parallel, delayed
 
-    context: AbstractContextManager[Any] = nullcontext()
-    if cluster:
-        from distributed import Client
-
-        context = Client(cluster, timeout="10s")  # type: ignore[no-untyped-call]
     parts: list[Array] = []
-    with context:
-        backend = (
-            {"backend": "dask"}
-            if cluster
-            else {"backend": "loky", "n_jobs": jobs, "inner_max_num_threads": 1}
-        )
-        with parallel_config(**backend):
-            work = (delayed(sample)(vehicle, design, road_class, spread, batch) for batch in seeds)
-            for part in Parallel(return_as="list" if cluster else "generator")(work):
-                parts.append(part)
-                if progress is not None:
-                    progress(len(parts) / len(seeds))
+    with _workers(jobs, cluster):
+        run_all = Parallel(return_as="list" if cluster else "generator")
+        for part in run_all(delayed(work)(batch) for batch in batches):
+            parts.append(part)
+            progress(len(parts) / len(batches))
     return np.concatenate(parts)
+
+
+@contextmanager
+def _workers(jobs: int, cluster: str) -> Iterator[None]:
+    """Send joblib's work to `jobs` processes of this computer, or to the Dask scheduler of a cluster."""
+    from joblib import parallel_config
+
+    if not cluster:
+        with parallel_config(backend="loky", n_jobs=jobs, inner_max_num_threads=1):
+            yield
+        return
+    from distributed import Client
+
+    with Client(cluster, timeout="10s"), parallel_config(backend="dask"):  # type: ignore[no-untyped-call]
+        yield
 
 
 def plot(report: Report, directory: Path) -> list[Path]:
     """Draw the distributions of the cuts and of mu."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    directory.mkdir(parents=True, exist_ok=True)
-    figure, axes = plt.subplots(1, 4, figsize=(13, 3.2), layout="constrained")
+    s = report.arrays()
+    figure = new_figure(13, 3.2)
+    axes = figure.subplots(1, 4)
     for axis, body in zip(axes, BODY, strict=False):
-        axis.hist(
-            np.asarray(report.series[f"nominal_{body}_cut_value"]), bins=30, histtype="step", label="nominal"
-        )
-        axis.hist(np.asarray(report.series[f"{body}_cut_value"]), bins=30, histtype="step", label="perturbed")
+        axis.hist(s[f"nominal_{body}_cut_value"], bins=30, histtype="step", label="nominal")
+        axis.hist(s[f"{body}_cut_value"], bins=30, histtype="step", label="perturbed")
         axis.set_xlabel(f"RMS {body} cut %")
     axes[0].legend()
-    axes[3].hist(np.asarray(report.series["peak_mu_value"]), bins=30, histtype="step")
+    axes[3].hist(s["peak_mu_value"], bins=30, histtype="step")
     axes[3].set_xlabel(r"peak $\mu$")
-    path = directory / "monte_carlo.png"
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
-    return [path]
+    return [save(figure, directory / "monte_carlo.png", 120)]

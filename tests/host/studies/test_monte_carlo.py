@@ -8,7 +8,7 @@ import pytest
 from tiger.config.errors import ConfigError
 from tiger.studies import monte_carlo
 
-SPREAD = (0.2, 0.3, 0.2, 5.0, 2.0)
+SPREAD = monte_carlo.Spread(com=0.2, mass=0.3, spring=0.2, delay_ms=5.0, delay_spread_ms=2.0)
 
 
 def test_a_run_depends_on_its_seed_alone() -> None:
