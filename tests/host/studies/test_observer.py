@@ -7,7 +7,6 @@ import pytest
 
 from tiger.control.ride import ImuNoise
 from tiger.studies import observer, ride_cases
-from tiger.studies.report import Row
 
 CAR = ride_cases.load_case("table-6-1").car
 ROAD = ride_cases.bumpy_road()
@@ -24,23 +23,22 @@ def test_accuracy_readings() -> None:
 def test_bumpy_road_without_offset_and_with_20_percent_uncorrected_and_corrected() -> None:
     noise = ImuNoise()
     offset = (0.2 * CAR.com_to_front_axle_m, 0.2 * CAR.half_track_m)
+    passage = observer.Passage("bumpy", CAR, ROAD, observer.SWELL, ride_cases.BUMPY_PREVIEW_S, noise, 3)
     fits = {}
     for name, at, believed in (
         ("centred", (0.0, 0.0), (0.0, 0.0)),
         ("ignored", offset, (0.0, 0.0)),
         ("known", offset, offset),
     ):
-        imu, truth = observer._drive(CAR, ROAD, noise, 3, at)
-        estimate = observer.estimate_accelerations(CAR, observer.SWELL, noise, imu, believed, None)
-        fits[name] = observer.accuracy(estimate, truth)[0]
+        imu, truth = passage.drive(at)
+        fits[name] = observer.accuracy(passage.observe(imu, believed), truth)[0]
     assert (fits["centred"] >= [0.985, 0.96, 0.9]).all()
     assert fits["ignored"][0] == pytest.approx(0.778, abs=0.02)
     assert (fits["known"] >= [0.95, 0.94, 0.86]).all()
 
 
 def test_wrong_initial_state_is_forgotten_within_0_3_s() -> None:
-    rows: list[Row] = []
-    observer._initial_state(rows, {}, CAR, ImuNoise(), 0)
+    rows, _ = observer._initial_state(CAR, ImuNoise(), 0)
     assert len(rows) == 3
     assert all(row.value <= 0.3 for row in rows)
 
