@@ -299,7 +299,9 @@ def _version() -> str:
 
 def _git_revision() -> str:
     """Commit of the checkout that runs, with "-dirty" when it was changed; "" outside a checkout."""
-    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=40"]
+    trust = ["-c", "safe.directory=*"]  # as a service it belongs to root, and git would not read it
+    here = ["-C", str(Path(__file__).parent)]
+    command = ["git", *trust, *here, "describe", "--always", "--dirty", "--abbrev=40"]
     try:
         found = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=False)
     except (OSError, subprocess.TimeoutExpired):
