@@ -154,3 +154,12 @@ def test_the_python_that_a_page_shows_runs_and_gives_what_it_says(page: str) -> 
             if numbers:
                 got = np.ravel(np.asarray(eval(expression, names), dtype=float))
                 assert got == pytest.approx(numbers, abs=0.006), expression
+
+
+def test_the_errata_with_a_demand_are_those_that_the_page_says() -> None:
+    tests = (ROOT / "tests" / "host" / "models" / "test_vehicle_errata.py").read_text(encoding="utf-8")
+    demanded = set(re.findall(r'^ +"(\d+): ', tests, re.MULTILINE))
+    listed = {row[0] for row in rows_of("vehicle-model.md", "Errata")}
+    words = re.search(r"All but ([\d, and]+) have a demand", text_of("vehicle-model.md"))
+    assert words is not None
+    assert demanded == listed - set(re.findall(r"\d+", words[1]))
