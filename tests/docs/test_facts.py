@@ -163,3 +163,27 @@ def test_the_errata_with_a_demand_are_those_that_the_page_says() -> None:
     words = re.search(r"All but ([\d, and]+) have a demand", text_of("vehicle-model.md"))
     assert words is not None
     assert demanded == listed - set(re.findall(r"\d+", words[1]))
+
+
+# ------------------------------------------------------------------------------------------------------ names
+
+SOURCES = ("host", "firmware", "protocol", "tests", "bench", "scripts")
+SUFFIXES = (".py", ".toml", ".h", ".cpp", ".ino", ".j2")
+OTHERS = {"sched_rt_runtime_us", "crc_ccitt_update"}  # Linux, avr-libc
+NAME = re.compile(r"\b[a-z][a-z0-9]+(?:_[a-z0-9]{2,})+\b")
+
+
+def test_every_name_that_a_page_sets_as_code_is_in_the_sources() -> None:
+    files = [path for top in SOURCES for path in (ROOT / top).rglob("*") if path.suffix in SUFFIXES]
+    known = OTHERS | {path.stem for path in files}
+    for path in files:
+        if path.parent != Path(__file__).parent:
+            known |= set(re.findall(r"\w+", path.read_text(encoding="utf-8")))
+    unknown = []
+    for page in [*DOCS.glob("*.md"), ROOT / "README.md", ROOT / "protocol" / "README.md"]:
+        spans = re.findall(r"`([^`\n]+)`", page.read_text(encoding="utf-8"))
+        for name in NAME.findall(" ".join(spans)) if page.name != "proof.md" else ():
+            stem = re.sub("(fl|fr|rl|rr)$", "", name)  # a corner's name is put together
+            if not known & {name, stem, stem.rstrip("_")}:
+                unknown.append(f"{page.name}: {name}")
+    assert not unknown
