@@ -22,10 +22,11 @@ from tiger.control import traction
 from tiger.emulation.scenarios import load_scenario
 from tiger.record import STILL, Command, DaemonState, Mode
 from tiger.rig.virtual import Rig
-from tiger.studies.report import Report, Row
+from tiger.studies.figures import gridded, new_figure, save
+from tiger.studies.report import CORNERS, Report, Row, unwatched
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from tiger.config.robot import RobotConfig
     from tiger.emulation.scenarios import Scenario
     from tiger.record import Estimate, Four
+    from tiger.studies.report import Progress
     from tiger.studies.terrain_picture import Frame
 
     Array = NDArray[np.float64]
@@ -53,7 +55,6 @@ UNDER_WAY_M = 0.2
 """From the start: before, the daemon turns one side after the other to see that they are wired right."""
 SAMPLE_S = 0.1
 PATIENCE_S = 10.0
-CORNERS = ("FL", "FR", "RL", "RR")
 COLUMNS = {
     "time_s": 1,
     "position_m": 3,
@@ -136,7 +137,7 @@ class Ride:
         return int(there[0]) if there.size else None
 
 
-def run(seed: int = 0, all_cases: bool = True, progress: Callable[[float], None] | None = None) -> Report:
+def run(seed: int = 0, all_cases: bool = True, progress: Progress = unwatched) -> Report:
     """Climb with every case, then with passive and active where the ground is gentle enough for both.
 
     `all_cases = False` leaves out what the two figures do not show. Raises ValueError when the robot does not
@@ -150,24 +151,20 @@ def run(seed: int = 0, all_cases: bool = True, progress: Callable[[float], None]
     for done, (case, ground) in enumerate(plan):
 
         def part(share: float, done: int = done) -> None:
-            if progress is not None:
-                progress((done + share) / len(plan))
+            progress((done + share) / len(plan))
 
         rides.append(ride(case, ground, seed, part))
     hard = dict(zip([case.name for case in cases], rides, strict=False))
-    rows = [row for name, one in hard.items() for row in _rows(name, one)]
-    rows += _where_the_passive_one_ends(hard["passive"], hard["active"])
-    if all_cases:
-        easy = rides[len(cases) :]
-        rows += [
-            row
-            for name, one in zip(("passive", "active"), easy, strict=True)
-            for row in _rows(f"gentle, {name}", one)
-        ]
-        rows += _compared("gentle, active over passive", easy[1], easy[0])
-        equal, load = (hard[case.name].peak_slip for case in (PASSIVE, BY_LOAD))
-        rows.append(Row("peak slip, shared by load over equal torque (strokes passive)", load / equal, "-"))
     active, passive = hard["active"], hard["passive"]
+    rows = [row for name, one in hard.items() for row in _rows(name, one)]
+    rows += _where_the_passive_one_ends(passive, active)
+    if all_cases:
+        gentle_passive, gentle_active = rides[len(cases) :]
+        rows += _rows("gentle, passive", gentle_passive)
+        rows += _rows("gentle, active", gentle_active)
+        rows += _compared("gentle, active over passive", gentle_active, gentle_passive)
+        less = hard[BY_LOAD.name].peak_slip / passive.peak_slip
+        rows.append(Row("peak slip, shared by load over equal torque (strokes passive)", less, "-"))
     rows.append(Row("peak slip, active over passive", active.peak_slip / passive.peak_slip, "-"))
     rows += _solver_rows(active)
     return Report(
@@ -224,9 +221,7 @@ def gentle(scenario: Scenario) -> Scenario:
     )
 
 
-def ride(
-    case: Case, scenario: Scenario, seed: int = 0, progress: Callable[[float], None] | None = None
-) -> Ride:
+def ride(case: Case, scenario: Scenario, seed: int = 0, progress: Progress = unwatched) -> Ride:
     """Drive one case until the top is reached, the robot stops itself, or the time is over."""
     robot = configured(case)
     design = traction.design_traction(robot)
@@ -243,8 +238,7 @@ def ride(
             break
         if tick % every:
             continue
-        if progress is not None:
-            progress(rig.time_s / scenario.duration_s)
+        progress(rig.time_s / scenario.duration_s)
         if rig.time_s < start_s:
             continue
         truth, forces = rig.robot.truth(), record.outputs.traction
@@ -375,8 +369,7 @@ def plot(report: Report, directory: Path) -> list[Path]:
     from tiger.emulation.ground import make_terrain
     from tiger.studies.terrain_picture import animate, evenly, strip
 
-    directory.mkdir(parents=True, exist_ok=True)
-    series = {name: np.asarray(values) for name, values in report.series.items()}
+    series = report.arrays()
     robot = load_robot()
     terrain = make_terrain(load_scenario(SCENARIO).terrain, robot.vehicle.body.half_track_m)
     paths = []
@@ -392,11 +385,9 @@ def plot(report: Report, directory: Path) -> list[Path]:
 
 
 def _curves(series: Mapping[str, Array], name: str, title: str, path: Path) -> Path:
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
-        figure = Figure(figsize=(7.0, 7.6), layout="constrained")
+    """Draw slip, power and load of each wheel over time, and how far along the robot is."""
+    with gridded():
+        figure = new_figure(7.0, 7.6)
         panels = figure.subplots(4, 1, sharex=True, height_ratios=(1.0, 1.0, 1.0, 0.7))
         time_s = series[f"{name}_time_s"]
         lines = (("slip_percent", "slip (%)"), ("power_w", "power (W)"), ("load_n", "wheel load (N)"))
@@ -413,5 +404,4 @@ def _curves(series: Mapping[str, Array], name: str, title: str, path: Path) -> P
         panels[3].set_ylabel("place (m)")
         panels[3].set_xlabel("time since the drive began (s)")
         figure.suptitle(f"Climbing a loose slope: {title}")
-        figure.savefig(path, dpi=110)
-    return path
+        return save(figure, path)

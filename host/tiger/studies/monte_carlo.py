@@ -110,13 +110,13 @@ def _one(
     delay_s = max(0.0, (delay_ms + float(extra)) * FINE_S)
     pole = float(np.abs(closed_loop(car, controller, delay_s, imu).poles()).max())
     if pole >= 1:
-        return np.r_[[np.nan] * 3, nominal_cut, np.nan, np.inf, pole]
+        return np.array([*(np.nan,) * 3, *nominal_cut, np.nan, np.inf, pole])
     drawn = replace(case, car=car)
     passive = drawn.index(simulate(car, road, imu_offset_m=imu))[0]
     active = drawn.index(simulate(car, road, controller, ImuNoise(), (seed,), imu, delay_s))[0]
     left = active / passive
     cut = 100 * (1 - left[RMS_BODY])
-    return np.r_[cut, nominal_cut, left[RMS_TIRE_LOAD].max(), active[PEAK_SUSPENSION].max(), pole]
+    return np.array([*cut, *nominal_cut, left[RMS_TIRE_LOAD].max(), active[PEAK_SUSPENSION].max(), pole])
 
 
 def run(

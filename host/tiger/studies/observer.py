@@ -227,7 +227,7 @@ def _initial_state(car: FullCarParameters, noise: ImuNoise, seed: int) -> tuple[
         last = 0.0 if len(outside) == 0 else (outside[-1] + 1) * ride.PERIOD_S
         rows.append(Row(f"tracking {body} within 10 % of the peak after", float(last), "s", 0.3))
     return rows, {
-        "tracking_time_s": np.arange(steps) * ride.PERIOD_S,
+        "tracking_time_s": np.arange(steps, dtype=np.float64) * ride.PERIOD_S,
         "tracking_true_si": true[:, 3:],
         "tracking_estimate_si": estimate,
     }

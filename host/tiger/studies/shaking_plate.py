@@ -20,15 +20,17 @@ from tiger.control.rhythm import Rhythm, followable
 from tiger.emulation.scenarios import PlateSegment, Scenario
 from tiger.record import DaemonState
 from tiger.rig.virtual import Rig
-from tiger.studies.report import Report, Row
+from tiger.studies.figures import gridded, new_figure, save
+from tiger.studies.report import CORNERS, Report, Row, unwatched
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from tiger.control.reachable import Suspension
+    from tiger.studies.report import Progress
 
     Array = NDArray[np.float64]
 
@@ -41,11 +43,11 @@ REST_S = 3.0
 """At the end of each step: the body should be level and quiet."""
 RISE_S = 0.3
 LEARNING_PERIODS = 5
-CORNERS = ("FL", "FR", "RL", "RR")
 _SCALARS = (
     *("time_s", "roll_deg", "pitch_deg", "plate_roll_deg", "plate_pitch_deg"),
     *("roll_est_deg", "pitch_est_deg"),
 )
+_PER_CORNER = ("stroke_mm", "stroke_rate_mmps", "rate_cmd_mmps", "duty_permille")
 
 
 def run(
@@ -55,7 +57,7 @@ def run(
     frequency_hz: float = 0.05,
     periods: int = 3,
     seed: int = 1,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = unwatched,
 ) -> Report:
     """Step the plate by `step_deg` and back, nudge it, then rock it; "roll" or "pitch".
 
@@ -72,21 +74,15 @@ def run(
     overspeed = amplitude_deg * 2.0 * math.pi * frequency_hz / top_degps
     counted_s = HARMONIC_AT_S + (LEARNING_PERIODS if overspeed > 1.0 else 1) / frequency_hz
     end_s = counted_s + periods / frequency_hz
-    scenario = Scenario(
-        title=f"Shaking plate, {axis}",
-        duration_s=end_s,
-        model="linear",
-        plate=tuple(
-            PlateSegment.model_validate({"axis": axis, **segment})
-            for segment in (
-                {"at_s": STEP_AT_S, "to_deg": step_deg, "over_s": RISE_S},
-                {"at_s": BACK_AT_S, "to_deg": 0.0, "over_s": RISE_S},
-                {"at_s": NUDGE_AT_S, "to_deg": NUDGE_DEG, "over_s": RISE_S},
-                {"at_s": NUDGE_BACK_AT_S, "to_deg": 0.0, "over_s": RISE_S},
-                {"at_s": HARMONIC_AT_S, "amplitude_deg": amplitude_deg, "frequency_hz": frequency_hz},
-            )
-        ),
+    segments: tuple[dict[str, float], ...] = (
+        {"at_s": STEP_AT_S, "to_deg": step_deg, "over_s": RISE_S},
+        {"at_s": BACK_AT_S, "to_deg": 0.0, "over_s": RISE_S},
+        {"at_s": NUDGE_AT_S, "to_deg": NUDGE_DEG, "over_s": RISE_S},
+        {"at_s": NUDGE_BACK_AT_S, "to_deg": 0.0, "over_s": RISE_S},
+        {"at_s": HARMONIC_AT_S, "amplitude_deg": amplitude_deg, "frequency_hz": frequency_hz},
     )
+    plate = tuple(PlateSegment.model_validate({"axis": axis, **segment}) for segment in segments)
+    scenario = Scenario(title=f"Shaking plate, {axis}", duration_s=end_s, model="linear", plate=plate)
     series = _ride(Rig(robot, scenario, seed), end_s, progress)
     rows = [
         *_step_rows("step", series, STEP_AT_S, _bound_s(design.suspension, axis, step_deg, 0.0)),
@@ -103,7 +99,7 @@ def run(
     return Report(f"Levelling on a shaking plate ({axis})", tuple(rows), series, assumptions)
 
 
-def _ride(rig: Rig, end_s: float, progress: Callable[[float], None] | None) -> dict[str, Array]:
+def _ride(rig: Rig, end_s: float, progress: Progress) -> dict[str, Array]:
     """Run the rig, armed as soon as it may be, and return its series."""
     rig.daemon.arm(patience_s=STEP_AT_S)
     rows = []
@@ -122,13 +118,12 @@ def _ride(rig: Rig, end_s: float, progress: Callable[[float], None] | None) -> d
                 *(strokes.duty_permille if strokes is not None else (0,) * 4),
             )
         )
-        if progress is not None and len(rows) % 200 == 0:
+        if len(rows) % 200 == 0:
             progress(rig.time_s / end_s)
     table = np.array(rows)
     series = {name: table[:, column] for column, name in enumerate(_SCALARS)}
-    for index, name in enumerate(("stroke_mm", "stroke_rate_mmps", "rate_cmd_mmps", "duty_permille")):
-        series[name] = table[:, 7 + 4 * index : 11 + 4 * index]
-    return series
+    fours = np.split(table[:, len(_SCALARS) :], len(_PER_CORNER), axis=1)
+    return series | dict(zip(_PER_CORNER, fours, strict=True))
 
 
 def _bound_s(suspension: Suspension, axis: str, to_deg: float, from_deg: float) -> float:
@@ -215,38 +210,38 @@ def _least_share(overspeed: float) -> float:
 
 def plot(report: Report, directory: Path) -> list[Path]:
     """Draw the step and the harmonic as the dissertation does: strokes, rates, and the body's attitude."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    directory.mkdir(parents=True, exist_ok=True)
-    series = {name: np.asarray(values) for name, values in report.series.items()}
+    series = report.arrays()
+    plate = max(("plate_roll", "plate_pitch"), key=lambda line: np.ptp(series[f"{line}_deg"]))
     spans = {
         "shaking-plate-step.png": (STEP_AT_S - 2.0, NUDGE_AT_S),
         "shaking-plate-harmonic.png": (HARMONIC_AT_S, float(series["time_s"][-1])),
     }
     paths = []
     for name, (start, end) in spans.items():
-        shown = (series["time_s"] >= start) & (series["time_s"] < end)
-        time = series["time_s"][shown]
-        with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
-            figure = Figure(figsize=(7.0, 6.4), layout="constrained")
-            strokes, rates, attitude = figure.subplots(3, 1, sharex=True)
-            for corner, label in enumerate(CORNERS):
-                strokes.plot(time, series["stroke_mm"][shown, corner], label=label, lw=1.2)
-                rates.plot(time, series["stroke_rate_mmps"][shown, corner], label=label, lw=1.0)
-            plate = max(("plate_roll", "plate_pitch"), key=lambda line: np.ptp(series[f"{line}_deg"]))
-            attitude.plot(time, series[f"{plate}_deg"][shown], "--", color="0.5", label="plate", lw=1.2)
-            for line in ("roll", "pitch"):
-                attitude.plot(time, series[f"{line}_deg"][shown], label=line, lw=1.2)
-            attitude.axhspan(-BAND_DEG, BAND_DEG, color="0.9", zorder=0)
-            strokes.set_ylabel("stroke (mm)")
-            rates.set_ylabel("stroke rate (mm/s)")
-            attitude.set_ylabel("attitude (degrees)")
-            attitude.set_xlabel("time (s)")
-            strokes.legend(loc="upper right", ncols=4)
-            attitude.legend(loc="upper right", ncols=3)
-            figure.suptitle(report.title)
-            path = directory / name
-            figure.savefig(path, dpi=110)
-        paths.append(path)
+        within = (series["time_s"] >= start) & (series["time_s"] < end)
+        shown = {key: values[within] for key, values in series.items()}
+        paths.append(_draw(shown, plate, report.title, directory / name))
     return paths
+
+
+def _draw(series: Mapping[str, Array], plate: str, title: str, path: Path) -> Path:
+    """Draw strokes, their rates, and the body's attitude beside that of the plate."""
+    time_s = series["time_s"]
+    with gridded():
+        figure = new_figure(7.0, 6.4)
+        strokes, rates, attitude = figure.subplots(3, 1, sharex=True)
+        for corner, label in enumerate(CORNERS):
+            strokes.plot(time_s, series["stroke_mm"][:, corner], label=label, lw=1.2)
+            rates.plot(time_s, series["stroke_rate_mmps"][:, corner], label=label, lw=1.0)
+        attitude.plot(time_s, series[f"{plate}_deg"], "--", color="0.5", label="plate", lw=1.2)
+        for line in ("roll", "pitch"):
+            attitude.plot(time_s, series[f"{line}_deg"], label=line, lw=1.2)
+        attitude.axhspan(-BAND_DEG, BAND_DEG, color="0.9", zorder=0)
+        strokes.set_ylabel("stroke (mm)")
+        rates.set_ylabel("stroke rate (mm/s)")
+        attitude.set_ylabel("attitude (degrees)")
+        attitude.set_xlabel("time (s)")
+        strokes.legend(loc="upper right", ncols=4)
+        attitude.legend(loc="upper right", ncols=3)
+        figure.suptitle(title)
+        return save(figure, path)

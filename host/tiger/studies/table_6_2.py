@@ -264,7 +264,7 @@ def _series(name: str, case: ride_cases.Case, road: Array, passive: RideRun, act
     """What Figures 6.10, 6.14 and 6.15 draw, once a control period."""
     every = slice(None, None, FINE_PER_PERIOD)
     series = {
-        f"{name}_time_s": np.arange(passive.outputs.shape[1])[every] * FINE_S,
+        f"{name}_time_s": np.arange(passive.outputs.shape[1], dtype=np.float64)[every] * FINE_S,
         f"{name}_road_m": road[:-1][every],
     }
     scale = case.car.tire_stiffness_npm / case.car.static_tire_load_n()

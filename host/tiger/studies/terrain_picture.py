@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 
 from tiger.config.vehicle import load_vehicle
 from tiger.models.eam import Eam
-from tiger.models.full_car import CORNERS, FullCarParameters
+from tiger.models.full_car import FullCarParameters
+from tiger.studies.figures import new_figure, save
+from tiger.studies.report import CORNERS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -32,9 +34,9 @@ if TYPE_CHECKING:
     from tiger.config.vehicle import VehicleConfig
     from tiger.emulation.world import Truth
     from tiger.models.terrain import Terrain
+    from tiger.record import Four
 
 Array = NDArray[np.float64]
-Four = tuple[float, float, float, float]
 Colour = tuple[float, float, float]
 
 PATCH_M = (2.1, 1.9)
@@ -126,11 +128,9 @@ def strip(
     `captions` replace the times above the pictures. Without `vehicle` it is the preset `tiger`; one with a
     payload shows it.
     """
-    from matplotlib.figure import Figure
-
     picture = _Picture(vehicle or load_vehicle("tiger"), terrain)
     shapes = [camera.view_m[1] / camera.view_m[0] for camera in (BESIDE, BEHIND)]
-    figure = Figure(figsize=(3.0 * len(frames), 3.0 * (sum(shapes) + 0.5)), layout="constrained")
+    figure = new_figure(3.0 * len(frames), 3.0 * (sum(shapes) + 0.5))
     figure.suptitle(title, fontsize=12)
     columns = figure.subplots(3, len(frames), squeeze=False, height_ratios=(*shapes, 0.32)).T
     for index, (frame, axes) in enumerate(zip(frames, columns, strict=True)):
@@ -138,9 +138,7 @@ def strip(
         picture.look(axes[0], frame, BESIDE)
         picture.look(axes[1], frame, BEHIND)
         picture.loads(axes[2], frame, labelled=index == 0)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    return path
+    return save(figure, path)
 
 
 def animate(
@@ -207,7 +205,7 @@ class _Picture:
         colours = [HANGING if hangs else TYRE for hangs in self._robot.hanging(frame)]
         axes.bar(range(4), frame.wheel_load_n, color=colours, width=0.65)
         axes.hlines(at_rest, np.arange(4) - 0.4, np.arange(4) + 0.4, color=ACTUATOR, lw=1.5)
-        axes.set_xticks(range(4), [corner.upper() for corner in CORNERS], fontsize=8)
+        axes.set_xticks(range(4), CORNERS, fontsize=8)
         axes.set_ylim(0.0, 2.2 * max(at_rest))
         axes.tick_params(axis="y", labelsize=7, labelleft=labelled)
         axes.spines[["top", "right"]].set_visible(False)
