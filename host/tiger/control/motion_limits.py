@@ -179,54 +179,28 @@ def step(
     dt: float,
 ) -> tuple[LimiterState, Allowed]:
     """Limit a command (speed in m/s, yaw rate in rad/s) of a robot that moves at `moving_mps`."""
-    share = design.load_transfer_max
-    speed, yaw = command
-    limited, cause = 0, LimitCause.NOTHING
+    used_x, used_y = used = ground.at_rest()
     # Over a corner both ways count: what one axis uses at rest is not there for the other.
-    used_x, used_y = ground.at_rest()
-    used = max(used_x, used_y)
+    share = design.load_transfer_max
     share_x, share_y = share * max(0.0, 1.0 - used_y), share * max(0.0, 1.0 - used_x)
     to_front, to_rear = ground.bound(FRONT, share_x), ground.bound(REAR, share_x)
     hardest = min(to_front, to_rear)
-
     fastest = max(abs(moving_mps), abs(state.speed_mps))
-    # The turn: a = v r, to the left when positive, presses on the right edge, and the other way round.
-    turn = speed * yaw
-    would_tip = False
-    if turn:
-        outer, turn = (RIGHT, turn) if turn > 0.0 else (LEFT, -turn)
-        least = design.crawl_mps * design.crawl_radps
-        most = max(ground.bound(outer, share_y), least)
-        would_tip = turn > most and turn > ground.bound(outer, 1.0)
-        if turn > most:
-            path = sqrt(most / turn)
-            speed, yaw = speed * path, yaw * path
-            limited, cause = SPEED, LimitCause.TURN
-        if fastest * abs(yaw) > most:
-            yaw = copysign(most / fastest, yaw)
-            limited, cause = limited | CURVATURE, LimitCause.TURN
+
+    speed, yaw = command
+    limited, cause, would_tip = 0, LimitCause.NOTHING, False
+    if speed and yaw:
+        speed, yaw, limited, would_tip = _within_turn(design, ground, speed, yaw, fastest, share_y)
+        cause = LimitCause.TURN if limited else cause
 
     # The slope: stop before it takes too much, go back, turn only where it takes less.
-    slowest, per_m = inf, []
-    brake = max(hardest, design.brake_min_mps2)
-    for axis, taken in enumerate((used_x, used_y)):
-        trend_m, before, grows = design.trend_m[axis], state.used[axis], state.per_m[axis]
-        if before and abs(moving_mps) > 0.5 * design.crawl_mps and before < share:
-            more = taken - before if moving_mps > 0.0 else before - taken
-            grows += (more - abs(moving_mps) * dt * grows) / trend_m
-        per_m.append(grows)
-        growth = grows if speed > 0.0 else -grows
-        # The axle ahead stands on that ground already.
-        ahead = taken + max(0.0, growth) * (fastest * design.foresight_s + design.half_wheelbase_m)
-        if ahead > share:
-            slowest = min(slowest, 0.0 if growth > 0.0 else design.crawl_mps)
-        elif (
-            taken > LEVEL * share and share - ahead < FARTHEST_M * growth
-        ):  # with half the braking it stops before the bound
-            slowest = min(slowest, sqrt(min(design.acceleration_mps2, brake) * (share - ahead) / growth))
-    if abs(speed) > slowest:
-        speed, limited, cause = copysign(slowest, speed), limited | SPEED, LimitCause.SLOPE
-    turned = _turn(design, ground, used, yaw) if yaw else yaw
+    per_m = _growth(design, state, used, moving_mps, dt)
+    if speed:
+        brake = min(design.acceleration_mps2, max(hardest, design.brake_min_mps2))
+        top = _top_speed(design, used, per_m if speed > 0.0 else (-per_m[0], -per_m[1]), fastest, brake)
+        if abs(speed) > top:
+            speed, limited, cause = copysign(top, speed), limited | SPEED, LimitCause.SLOPE
+    turned = _turn(design, ground, max(used), yaw) if yaw else yaw
     if turned != yaw:
         yaw, limited, cause = turned, limited | CURVATURE, LimitCause.SLOPE
 
@@ -244,10 +218,64 @@ def step(
         would_tip |= abs(speed - slewed) > ENOUGH_MPS and design.acceleration_mps2 > ground.bound(edge, 1.0)
         speed, limited = slewed, limited | ACCELERATION
         cause = cause or LimitCause.BRAKING
-    known = LimiterState(slewed, (used_x, used_y), (per_m[0], per_m[1]))
+    known = LimiterState(slewed, used, per_m)
     if command == STOP and not limited & ACCELERATION:
         limited, cause = 0, LimitCause.NOTHING
-    return known, Allowed(speed, yaw, limited, cause, would_tip or used > 1.0)
+    return known, Allowed(speed, yaw, limited, cause, would_tip or max(used) > 1.0)
+
+
+def _within_turn(
+    design: LimiterDesign, ground: Footing, speed: float, yaw: float, fastest: float, share: float
+) -> tuple[float, float, int, bool]:
+    """Limit a = v r, which presses on the outer edge: speed, yaw rate, what was limited, if it tips.
+
+    The path stays what it is where less speed on it is enough; a robot that is still faster turns less.
+    """
+    turn, limited = abs(speed * yaw), 0
+    outer = RIGHT if (speed > 0.0) == (yaw > 0.0) else LEFT
+    most = max(ground.bound(outer, share), design.crawl_mps * design.crawl_radps)
+    would_tip = turn > most and turn > ground.bound(outer, 1.0)
+    if turn > most:
+        path = sqrt(most / turn)
+        speed, yaw, limited = speed * path, yaw * path, SPEED
+    if fastest * abs(yaw) > most:
+        yaw, limited = copysign(most / fastest, yaw), limited | CURVATURE
+    return speed, yaw, limited, would_tip
+
+
+def _growth(
+    design: LimiterDesign, state: LimiterState, used: tuple[float, float], moving_mps: float, dt: float
+) -> tuple[float, float]:
+    """Follow how much the share used at rest grows with every metre forward, along and across."""
+    if abs(moving_mps) <= 0.5 * design.crawl_mps:
+        return state.per_m
+    per_m = []
+    for trend_m, before, grows, taken in zip(design.trend_m, state.used, state.per_m, used, strict=True):
+        if before and before < design.load_transfer_max:
+            more = taken - before if moving_mps > 0.0 else before - taken
+            grows += (more - abs(moving_mps) * dt * grows) / trend_m
+        per_m.append(grows)
+    return per_m[0], per_m[1]
+
+
+def _top_speed(
+    design: LimiterDesign,
+    used: tuple[float, float],
+    per_m: tuple[float, float],
+    fastest: float,
+    brake_mps2: float,
+) -> float:
+    """The speed from which it stops before the slope takes more than the share; `per_m` the way it goes."""
+    share, top = design.load_transfer_max, inf
+    for taken, growth in zip(used, per_m, strict=True):
+        # The axle ahead stands on that ground already.
+        ahead = taken + max(0.0, growth) * (fastest * design.foresight_s + design.half_wheelbase_m)
+        if ahead > share:
+            top = min(top, 0.0 if growth > 0.0 else design.crawl_mps)
+        elif taken > LEVEL * share and share - ahead < FARTHEST_M * growth:
+            # With half the braking it stops before the bound.
+            top = min(top, sqrt(brake_mps2 * (share - ahead) / growth))
+    return top
 
 
 def _turn(design: LimiterDesign, ground: Footing, used: float, yaw: float) -> float:
