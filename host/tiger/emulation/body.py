@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
     from tiger.config.vehicle import VehicleConfig
     from tiger.emulation.scenarios import Scenario
-
-Four = tuple[float, float, float, float]
+    from tiger.record import Four
 
 
 def _place(structure: str, field: str, length: int) -> slice:
