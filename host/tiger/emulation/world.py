@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiger.config.vehicle import VehicleConfig
-from tiger.emulation.body import Four, make_body
+from tiger.emulation.body import make_body
 from tiger.emulation.scenarios import PlateAxis, Scenario
 from tiger.models.eam import Eam, MechanismError
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
@@ -36,6 +36,7 @@ from tiger.models.sensors.imu import BNO055, Imu, ImuReading, ImuSpec, TriadSpec
 from tiger.models.sensors.motor_current import MotorCurrent
 from tiger.models.sensors.potentiometer import Potentiometer
 from tiger.native._core import ffi, lib
+from tiger.record import Four
 
 Array = NDArray[np.float64]
 
