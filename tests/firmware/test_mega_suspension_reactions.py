@@ -16,6 +16,7 @@ from tiger.protocol.messages import (
     Estop,
     Fault,
     SuspensionMove,
+    SuspensionRaw,
     SuspensionState,
 )
 
@@ -336,6 +337,22 @@ def test_telemetry_comes_every_10_ms_with_the_time_of_its_sample(armed):
     assert len(states) == 100
     steps = {b.t_us - a.t_us for a, b in itertools.pairwise(states)}
     assert steps == {10_000}
+
+
+def test_raw_readings_and_switches_come_ten_times_a_second(armed):
+    armed.lower, armed.upper = 0b0001, 0b1000
+    armed.run_ms(30)
+    before = len(armed.wire.all(SuspensionRaw))
+    armed.run_ms(1000)
+    raws = armed.wire.all(SuspensionRaw)[before:]
+    assert len(raws) == 10
+    sums = [16 * armed.counts(stroke_mm) for stroke_mm in armed.strokes_mm]
+    for raw in raws:
+        assert raw.pot_counts == pytest.approx(sums, abs=16)
+        assert raw.switches == 0x081
+    armed.estop = True
+    armed.run_ms(150)
+    assert armed.wire.last(SuspensionRaw).switches == 0x181
 
 
 # --------------------------------------------------------------------------------------------- moves

@@ -10,7 +10,13 @@ import pytest
 from tiger.config.robot import RobotConfig, load_robot
 from tiger.daemon import limits
 from tiger.daemon.limits import LIMITS, RestCheck
-from tiger.daemon.rest_calibration import RestCalibration, bias_messages
+from tiger.daemon.rest_calibration import (
+    BIAS_MOST_RADPS,
+    STILL_ACCEL_MPS2,
+    STILL_GYRO_RADPS,
+    RestCalibration,
+    bias_messages,
+)
 from tiger.devices.roboteq import FaultFlag, MotorFlag, Roboteq
 from tiger.protocol.link import Session
 from tiger.protocol.messages import (
@@ -179,6 +185,24 @@ def test_a_roboteqs_faults_are_named_and_its_emergency_stop_is_none() -> None:
     assert texts == ["short circuit", "bit 9", "rear motor: stalled"]
 
 
+@pytest.mark.parametrize(
+    ("flags", "text"),
+    [
+        ({"FF": FaultFlag.SHORT_CIRCUIT.value}, "short circuit"),
+        ({"FM1": MotorFlag.STALLED.value}, "front motor: stalled"),
+        ({"FM2": MotorFlag.STALLED.value}, "rear motor: stalled"),
+    ],
+)
+def test_one_fault_of_a_roboteq_alone_is_enough(flags: dict[str, int], text: str) -> None:
+    drive = Roboteq("roboteq (left)", "/dev/left", 150, 50.0, 20.0)
+    drive.flags |= flags
+    assert [problem.text for problem in limits.drive_faults(drive)] == [text]
+
+
+def test_a_board_that_reported_nothing_yet_has_no_faults() -> None:
+    assert not list(limits.board_faults(Session("/dev/x", 0)))
+
+
 # ------------------------------------------------------------------------------------------ the IMU at rest
 
 
@@ -210,6 +234,41 @@ def test_what_is_wrong_with_an_imu_at_rest_is_said(
 ) -> None:
     sample = replace(IMU, **changes)  # type: ignore[arg-type]
     assert words in str(fed(robot, sample).problem(sample))
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_an_imu_at_rest_is_judged_in_each_axis_against_the_limit_of_its_kind(
+    robot: RobotConfig, axis: int, sign: float
+) -> None:
+    def along(value: float) -> tuple[float, ...]:
+        return tuple(sign * value * (k == axis) for k in range(3))
+
+    turning = math.radians(robot.safety.max_rest_gyro_bias_degps)
+    pushed = robot.safety.max_rest_accel_offset_mps2
+    for changes, words in (
+        ({"rate_radps": along(1.01 * turning)}, "while nothing turns"),
+        ({"linear_accel_mps2": along(1.01 * pushed)}, "while nothing moves"),
+        ({"rate_radps": along(0.99 * turning), "linear_accel_mps2": along(0.99 * pushed)}, "None"),
+    ):
+        sample = replace(IMU, **changes)  # type: ignore[arg-type]
+        assert words in str(fed(robot, sample).problem(sample))
+
+
+def test_after_a_new_calibration_the_rest_before_it_counts_no_more(robot: RobotConfig) -> None:
+    wrong = replace(IMU, rate_radps=(0.1, 0.0, 0.0))
+    check = fed(robot, wrong)
+    assert check.problem(wrong) is not None
+    check.reset()
+    check.add(replace(wrong, t_s=7.0))
+    assert check.problem(wrong) is None
+
+
+def test_motion_ends_the_rest_that_an_imu_is_judged_by(robot: RobotConfig) -> None:
+    wrong = replace(IMU, rate_radps=(0.1, 0.0, 0.0))
+    check = fed(robot, wrong)
+    check.add(replace(wrong, t_s=4.0, flags=GOOD_FLAGS & ~(1 << ImuFlag.REST)))
+    assert check.problem(wrong) is None
 
 
 def test_without_an_imu_nothing_is_armed(robot: RobotConfig) -> None:
@@ -253,6 +312,35 @@ def test_the_mean_of_a_still_second_is_the_bias() -> None:
 )
 def test_anything_else_gives_no_bias(samples: list[ImuRawSample]) -> None:
     assert collected(samples).bias() is None
+
+
+def test_a_still_second_is_needed_without_a_gap() -> None:
+    def still(*spans: tuple[int, int]) -> list[ImuRawSample]:
+        return [raw(k * 0.01, BIAS) for begin, end in spans for k in range(begin, end)]
+
+    assert collected(still((0, 95))).bias() is None
+    assert collected(still((0, 98))).bias() is not None
+    assert collected(still((0, 60), (85, 115))).bias() is None  # 0.26 s are missing
+    assert collected(still((0, 98), (0, 50))).bias() is None  # the board was reset
+    assert collected([raw(k * 0.021, BIAS) for k in range(100)]).bias() is None  # too few
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_motion_in_any_axis_of_either_sensor_gives_no_bias(axis: int) -> None:
+    def bias(gyro_radps: float = 0.0, accel_mps2: float = 0.0, mean_radps: float = 0.0) -> object:
+        """Of a second with these standard deviations, and this mean, in one axis."""
+        samples = []
+        for k in range(120):
+            here = [(1.0 if k % 2 else -1.0) * (n == axis) for n in range(3)]
+            gyro = tuple(gyro_radps * way + mean_radps * (n == axis) for n, way in enumerate(here))
+            samples.append(ImuRawSample(k * 0.01, tuple(accel_mps2 * way for way in here), gyro, (0.0,) * 3))
+        return collected(samples).bias()
+
+    for least, most in ((0.99, False), (1.01, True)):
+        assert (bias(gyro_radps=least * STILL_GYRO_RADPS) is None) == most
+        assert (bias(accel_mps2=least * STILL_ACCEL_MPS2) is None) == most
+        assert (bias(mean_radps=least * BIAS_MOST_RADPS) is None) == most
+        assert (bias(mean_radps=-least * BIAS_MOST_RADPS) is None) == most
 
 
 def test_the_bias_goes_to_the_nano_in_counts_and_marks_it_calibrated() -> None:

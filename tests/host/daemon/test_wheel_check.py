@@ -93,3 +93,23 @@ def test_a_wheel_that_does_not_stop_between_the_sides_is_named() -> None:
 def test_without_wheel_speeds_it_stays_where_it_is() -> None:
     check = step(WheelCheck(Phase.LEFT), True, Inputs(0.0, True), DT_S)
     assert check.phase is Phase.LEFT
+
+
+def test_a_side_must_turn_for_50_ms_and_both_must_stand_for_100_before_the_check_goes_on() -> None:
+    turning = WheelSample(0.0, (0, 0), (PROBE_RPM / RPM_PER_RADPS, PROBE_RPM / RPM_PER_RADPS), 0)
+    still = WheelSample(0.0, (0, 0), (0.0, 0.0), 0)
+
+    def steps(begin: Phase, left: WheelSample, right: WheelSample) -> tuple[int, Phase]:
+        check, n = WheelCheck(begin), 0
+        while check.phase is begin:
+            n, check = n + 1, step(check, True, Inputs(0.0, True, wheels_left=left, wheels_right=right), DT_S)
+        return n, check.phase
+
+    for begin, left, right, needed_s, after in (
+        (Phase.LEFT, turning, still, 0.05, Phase.PAUSE),
+        (Phase.PAUSE, still, still, 0.1, Phase.RIGHT),
+        (Phase.RIGHT, still, turning, 0.05, Phase.PASSED),
+    ):
+        n, reached = steps(begin, left, right)
+        assert reached is after
+        assert n * DT_S == pytest.approx(needed_s, abs=1.01 * DT_S)

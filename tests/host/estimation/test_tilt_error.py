@@ -64,6 +64,13 @@ def test_it_never_jumps(roll: float, pitch: float, before: float) -> None:
     assert abs(error.pitch_rad + before) <= most
 
 
+def test_a_late_sample_is_followed_all_the_way_and_no_farther() -> None:
+    way = 0.5 * radians(CONFIG.tilt_rate_degps) * PAIRED_WITHIN_S
+    late = 1.0 + PAIRED_WITHIN_S
+    error = tilt_error.step(CONFIG, TiltError(t_s=1.0), nano(late), odometry(late, way, -way))
+    assert (error.roll_rad, error.pitch_rad) == pytest.approx((way, -way))
+
+
 @pytest.mark.parametrize("unknown", [{"sigma_deg": 1.0}, {"held_s": 2.0 * HELD_WITHIN_S}])
 def test_without_wheels_or_certainty_it_is_forgotten_as_slowly_as_the_nano_forgets(unknown: dict) -> None:
     begun = TiltError(0.0, WRONG, 0.0)

@@ -11,7 +11,7 @@ from cobs import cobs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tiger.protocol.frame import MAX_CHUNK_BYTES, FrameDecoder, crc16, encode, encode_message
+from tiger.protocol.frame import MAX_CHUNK_BYTES, OVERHEAD_BYTES, FrameDecoder, crc16, encode, encode_message
 from tiger.protocol.messages import (
     FROM_BOARD,
     TO_BOARD,
@@ -73,7 +73,9 @@ ANY = {**KNOWN, **TO_BOARD[BoardKind.MEGA_SUSPENSION]}
 def test_every_message_survives_the_wire(
     message: SuspensionSetpoint | SuspensionState | Log, seq: int
 ) -> None:
-    assert FrameDecoder(ANY).feed(encode_message(message, seq)) == [(seq, message)]
+    frame = encode_message(message, seq)
+    assert len(frame) == message.SIZE + OVERHEAD_BYTES
+    assert FrameDecoder(ANY).feed(frame) == [(seq, message)]
 
 
 @given(frames=st.lists(st.one_of(STATES, LOGS), max_size=6), data=st.data())
