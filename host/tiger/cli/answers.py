@@ -6,7 +6,7 @@ import errno
 import json
 import os
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -43,7 +43,7 @@ def refuse_unwritable(file: Path | None) -> None:
 
 def write_json(file: Path, data: Any, indent: int | None = 1) -> None:
     """Write figures to a file, `-`: to standard output; end the program if that cannot be done."""
-    text = json.dumps(data, indent=indent)
+    text = json.dumps(data, indent=indent, allow_nan=False)
     if str(file) == "-":
         typer.echo(text)
         return
@@ -52,6 +52,13 @@ def write_json(file: Path, data: Any, indent: int | None = 1) -> None:
     except OSError as error:
         typer.echo(f"{file}: cannot be written ({error.strerror}); choose another place", err=True)
         raise typer.Exit(2) from None
+
+
+@contextmanager
+def aside(json_file: Path | None) -> Iterator[None]:
+    """With `--json -`, what is said to a person goes to standard error: it shall not mix with the figures."""
+    with redirect_stdout(sys.stderr) if str(json_file) == "-" else nullcontext():
+        yield
 
 
 def make_folder(folder: Path) -> None:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tiger.cli.answers import JsonFile, make_folder, refuse_unwritable, scenario_names, write_json
+from tiger.cli.answers import JsonFile, aside, make_folder, refuse_unwritable, scenario_names, write_json
+from tiger.cli.main import INTERRUPTED
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -164,7 +165,7 @@ def wheels(
     refuse_unwritable(output)
     wishes = _Wishes(config, emulate, seed, True, json_file)
     course = Course(distance, turns, turn_speed)
-    with _told(), _Screen() as screen:
+    with _told(), aside(json_file), _Screen() as screen:
         robot = _load(wishes)
         if emulate is not None:
             from tiger.calibration.driving import virtual_ticks
@@ -185,9 +186,11 @@ def wheels(
                 found = calibrate_wheels(robot, daemon, real_ticks(daemon, clock), screen, course)
             finally:
                 daemon.close()
-    _report("wheels", found, wishes)
     fragment = as_toml(found)
-    typer.echo(f"\nFor your robot.toml:\n\n{fragment}")
+    with aside(json_file):
+        _show("wheels", found)
+        typer.echo(f"\nFor your robot.toml:\n\n{fragment}")
+    _keep("wheels", found, wishes)
     if output is not None:
         _write(output, fragment)
 
@@ -214,20 +217,25 @@ def _calibrate(wishes: _Wishes, make: Any, draw: Any = None) -> Result:
         procedure: Procedure = make(robot)
         station, person, screen = _bench(robot, wishes)
         try:
-            with screen:
-                result = run(procedure, station, person)
-            _report(procedure.name, result, wishes)
-            if draw is not None:
-                draw(result)
-            board = procedure.board.name.lower()
-            if not (wishes.yes or typer.confirm(f"\nStore this in the EEPROM of {board}?", default=False)):
-                typer.echo("Nothing was stored.")
-                raise typer.Exit(1)
-            station.connect(procedure.board)
-            parameters.store(station, procedure.board, result.parameters)
+            with aside(wishes.json_file):
+                with screen:
+                    result = run(procedure, station, person)
+                _show(procedure.name, result)
+                if draw is not None:
+                    draw(result)
+            _keep(procedure.name, result, wishes)
+            with aside(wishes.json_file):
+                board = procedure.board.name.lower()
+                if not (
+                    wishes.yes or typer.confirm(f"\nStore this in the EEPROM of {board}?", default=False)
+                ):
+                    typer.echo("Nothing was stored.")
+                    raise typer.Exit(1)
+                station.connect(procedure.board)
+                parameters.store(station, procedure.board, result.parameters)
+                typer.echo(f"Stored on {board}, read back and compared.")
         finally:
             station.close()
-    typer.echo(f"Stored on {board}, read back and compared.")
     return result
 
 
@@ -277,9 +285,11 @@ def _told() -> Iterator[None]:
     except CalibrationError as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(1) from None
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, typer.Abort) as error:  # at a prompt, Ctrl-C and the input's end are one
+        if isinstance(error.__context__, EOFError):
+            _fail("\nThe input ended before the answer: nothing was stored; run it in a terminal")
         typer.echo("\nEnded by you: everything is disarmed, nothing was stored.", err=True)
-        raise typer.Exit(130) from None
+        raise typer.Exit(INTERRUPTED) from None
 
 
 def _fail(message: str) -> None:
@@ -287,8 +297,8 @@ def _fail(message: str) -> None:
     raise typer.Exit(2)
 
 
-def _report(name: str, result: Result, wishes: _Wishes) -> None:
-    """The table, the notes, and the file that --json asks for."""
+def _show(name: str, result: Result) -> None:
+    """The table and the notes."""
     from rich.console import Console
     from rich.table import Table
 
@@ -303,6 +313,10 @@ def _report(name: str, result: Result, wishes: _Wishes) -> None:
     Console().print(table)
     for note in result.notes:
         typer.echo(f"note: {note}")
+
+
+def _keep(name: str, result: Result, wishes: _Wishes) -> None:
+    """The file that --json asks for."""
     if wishes.json_file is not None:
         report = {"calibration": name, "emulated": wishes.emulate, **asdict(result)}
         write_json(wishes.json_file, report)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import os
 import sys
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
 
 MISTAKE = 70
 """Exit status of a program that failed by itself (EX_SOFTWARE of sysexits.h)."""
+UNDOABLE = 2
+"""Exit status of what cannot be done as it was asked for."""
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class Entry(NamedTuple):
@@ -155,6 +159,10 @@ def _command(name: str, entry: Entry) -> Any:
 app = typer.Typer(name="tiger", cls=_LazyGroup, no_args_is_help=True, rich_markup_mode=None)
 
 
+def _place(error: OSError) -> str:
+    return str(error.filename or "the output")
+
+
 def _tell_version(wanted: bool) -> None:
     if wanted:
         from importlib import metadata
@@ -177,6 +185,9 @@ def obey() -> None:
     try:
         app(prog_name="tiger")
     except Exception as error:
+        if isinstance(error, OSError) and error.errno in NO_ROOM:
+            typer.echo(f"{_place(error)} cannot be written ({error.strerror}); make room there", err=True)
+            sys.exit(UNDOABLE)
         if os.environ.get("TIGER_TRACEBACK"):
             raise
         typer.echo(f"tiger: a mistake of the program: {type(error).__name__}: {error}", err=True)

@@ -160,7 +160,7 @@ def export_csv(
     """Write each topic as CSV: times in ns since 1970, then every field."""
     from tiger.logs.cdr import CdrError
     from tiger.logs.errors import LogError
-    from tiger.logs.export import csv_files
+    from tiger.logs.export import csv_file, csv_files
     from tiger.logs.reader import open_log
 
     make_folder(out)
@@ -172,10 +172,13 @@ def export_csv(
         _fail(error)
     except OSError as error:
         _fail(f"{out}: cannot be written ({error.strerror}); choose another folder with --out")
-    if not rows:
-        _fail(f"{log}: has no messages on {', '.join(topic or ['any topic'])}; `tiger log info` lists topics")
     for path, count in rows.items():
         typer.echo(f"{path}: {count} rows")
+    absent = [name for name in topic or [] if csv_file(out, name) not in rows]
+    if absent or not rows:
+        _fail(
+            f"{log}: has no messages on {', '.join(absent or ['any topic'])}; `tiger log info` lists topics"
+        )
 
 
 @export.command("wire")
@@ -185,7 +188,7 @@ def export_wire(
         Path, typer.Option("--out", metavar="FOLDER", help="Folder for the files, two for each line.")
     ] = Path(),
 ) -> None:
-    """Write the bytes of each line, as `tiger protocol capture` reads them."""
+    """Write the bytes of each line, for `tiger protocol capture`."""
     from tiger.logs.errors import LogError
     from tiger.logs.export import wire_files
     from tiger.logs.reader import open_log
@@ -248,7 +251,10 @@ def replay(
     ] = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Step the controller on the logged inputs; exit with 1 if it commands anything else than it did."""
+    """Step the controller on the logged inputs.
+
+    Exits with 1 if it commands anything else than it did.
+    """
     from tiger.config.errors import ConfigError
     from tiger.config.robot import load_robot
     from tiger.logs.errors import LogError

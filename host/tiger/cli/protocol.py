@@ -27,6 +27,7 @@ from tiger.protocol.messages import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from enum import IntEnum
 
 app = typer.Typer(
@@ -141,16 +142,11 @@ def capture(
     summary = summary or str(json_file) == "-"
     decoder = FrameDecoder(EVERY_MESSAGE)
     counts: dict[str, int] = {}
-    try:
-        with sys.stdin.buffer if str(file) == "-" else file.open("rb") as stream:
-            while data := stream.read(CHUNK_BYTES):
-                for seq, message in decoder.feed(data):
-                    counts[message.NAME] = counts.get(message.NAME, 0) + 1
-                    if not summary:
-                        typer.echo(one_line(seq, message))
-    except OSError as error:
-        typer.echo(f"{file}: cannot be read ({error.strerror}); check the path", err=True)
-        raise typer.Exit(2) from None
+    for data in _chunks(file):
+        for seq, message in decoder.feed(data):
+            counts[message.NAME] = counts.get(message.NAME, 0) + 1
+            if not summary:
+                typer.echo(one_line(seq, message))
     if json_file is not None:
         refused = {cause.name: count for cause, count in zip(RejectCause, decoder.rejects, strict=True)}
         write_json(json_file, {"messages": counts, "refused": refused})
@@ -159,6 +155,17 @@ def capture(
     for name, count in sorted(counts.items(), key=lambda item: -item[1]):
         typer.echo(f"{count:8} {name}", err=not summary)
     typer.echo(f"{sum(decoder.rejects):8} refused ({_refusals(decoder) or 'none'})", err=not summary)
+
+
+def _chunks(file: Path) -> Iterator[bytes]:
+    """A file or standard input, piece by piece."""
+    try:
+        with sys.stdin.buffer if str(file) == "-" else file.open("rb") as stream:
+            while data := stream.read(CHUNK_BYTES):
+                yield data
+    except OSError as error:  # of reading: what goes wrong with a chunk in hand is not raised here
+        typer.echo(f"{file}: cannot be read ({error.strerror}); check the path", err=True)
+        raise typer.Exit(2) from None
 
 
 def _refusals(decoder: FrameDecoder) -> str:

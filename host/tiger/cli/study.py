@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from tiger.cli.answers import make_folder, refuse_unwritable
+from tiger.cli.answers import make_folder, refuse_unwritable, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -155,10 +154,8 @@ def _run(module_name: str, parameters: dict[str, Any], json_path: Path | None, p
     console.print(report.table())
     for name, value in report.assumptions.items():
         console.print(f"  {name}: {value}", style="dim", markup=False, highlight=False)
-    if to_screen:
-        typer.echo(json.dumps(report.to_json(), allow_nan=False))
-    elif json_path is not None:
-        report.write_json(json_path)
+    if json_path is not None:
+        write_json(json_path, report.to_json(), indent=None if to_screen else 1)
     if plots is not None:
         for path in module.plot(report, plots):
             console.print(f"plot: {path}", markup=False, highlight=False)

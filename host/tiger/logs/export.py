@@ -7,6 +7,7 @@ import dataclasses
 import json
 from contextlib import ExitStack
 from enum import Enum
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from tiger.logs.topics import WIRE, WireBytes
@@ -56,10 +57,12 @@ def csv_files(log: Log, folder: Path, topics: Collection[str] | None = None) -> 
     only at its end.
     """
     names: dict[str, dict[str, None]] = {}
+    count = 0
     for logged in log.messages(topics):
+        count += 1
         names.setdefault(logged.topic, {}).update(dict.fromkeys(n for n, _ in columns(logged.value())))
     folder.mkdir(parents=True, exist_ok=True)
-    paths = {topic: folder / f"{_file_name(topic)}.csv" for topic in names}
+    paths = {topic: csv_file(folder, topic) for topic in names}
     rows = dict.fromkeys(paths.values(), 0)
     with ExitStack() as stack:
         writers = {}
@@ -68,12 +71,17 @@ def csv_files(log: Log, folder: Path, topics: Collection[str] | None = None) -> 
             head = ["log_time_ns", "sample_time_ns", *sorted(names[topic], key=_natural(names[topic]))]
             writers[topic] = csv.DictWriter(file, head, restval="")
             writers[topic].writeheader()
-        for logged in log.messages(topics):
+        for logged in islice(log.messages(topics), count):  # a log that is still written has grown meanwhile
             times = {"log_time_ns": logged.t_ns, "sample_time_ns": logged.sample_ns}
             cells = dict(columns(logged.value()))
             writers[logged.topic].writerow(times | cells)
             rows[paths[logged.topic]] += 1
     return rows
+
+
+def csv_file(folder: Path, topic: str) -> Path:
+    """Where `csv_files` writes a topic."""
+    return folder / f"{_file_name(topic)}.csv"
 
 
 def _natural(names: dict[str, None]) -> Any:

@@ -221,7 +221,7 @@ class LogSession:
             self._socket.close()
         self._socket = None
         self._packet, self._pending_bytes = [], 0
-        self.problem = said.decode() or "log: its process ended: nothing is logged any more"
+        self.problem = f"{said.decode() or 'log: its process ended'}: nothing is logged any more"
 
     def _now_ns(self) -> int:
         return self._epoch_ns + round(self._clock.now_s() * NS_PER_S)

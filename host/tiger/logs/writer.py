@@ -178,9 +178,7 @@ def main(descriptor: int) -> int:
     try:
         serve(connection)
     except OSError as error:
-        text = (
-            f"log: {error.strerror or error} ({error.filename or 'the log file'}): nothing is logged any more"
-        )
+        text = f"log: {error.strerror or error} ({error.filename or 'the log file'})"
         try:
             connection.send(text.encode())  # the daemon tells it
         except OSError:

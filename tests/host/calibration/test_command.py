@@ -7,6 +7,7 @@ import sys
 from typing import TYPE_CHECKING
 
 import pytest
+import typer
 from typer.testing import CliRunner, Result
 
 from tiger.calibration import station
@@ -51,6 +52,33 @@ def test_nothing_is_stored_unless_the_user_agrees(tiger, standing) -> None:
     assert result.exit_code == 1
     assert "Store this in the EEPROM of nano_imu?" in result.output
     assert "Nothing was stored." in result.output
+
+
+def test_figures_to_the_screen_are_all_there_is_on_standard_output(tiger, standing) -> None:
+    result = tiger("calibrate", "imu", "--emulate", standing, "--seconds", "3", "--json", "-", typed="y\n")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["calibration"] == "imu"
+    assert "Stored on nano_imu" in result.stderr
+
+
+def test_an_input_that_ends_stores_nothing_and_says_why(tiger, standing) -> None:
+    result = tiger("calibrate", "imu", "--emulate", standing, "--seconds", "3", typed="")
+    assert result.exit_code == 2
+    assert "The input ended before the answer: nothing was stored" in result.stderr
+    assert "Aborted" not in result.output
+
+
+def test_ctrl_c_at_a_question_ends_like_anywhere_else(tiger, standing, monkeypatch) -> None:
+    def interrupted(*_: object, **__: object) -> bool:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            raise typer.Abort from None  # as typer does it
+
+    monkeypatch.setattr(typer, "confirm", interrupted)
+    result = tiger("calibrate", "imu", "--emulate", standing, "--seconds", "3")
+    assert result.exit_code == 130
+    assert "Ended by you: everything is disarmed, nothing was stored." in result.stderr
 
 
 def test_the_strokes_are_drawn(tiger, standing, tmp_path) -> None:

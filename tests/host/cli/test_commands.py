@@ -114,6 +114,36 @@ def test_a_mistake_of_the_program_is_two_lines_and_a_status_of_its_own(
         commands.obey()
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize(
+    "words", [["--version"], ["protocol", "capture", "-"], ["study", "eam", "--points", "3"]]
+)
+def test_a_full_disk_behind_standard_output_is_no_mistake_of_the_program(words: list[str]) -> None:
+    with Path("/dev/full").open("w") as full:
+        result = subprocess.run(
+            [sys.executable, "-m", "tiger.cli.main", *words],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            input=encode_message(STATE, 9),
+        )
+    assert result.returncode == 2
+    said = result.stderr.decode()
+    assert "the output cannot be written (No space left on device); make room there" in said
+    assert "mistake" not in said
+
+
+def test_a_reader_that_has_seen_enough_is_no_unreadable_file(tmp_path: Path) -> None:
+    file = tmp_path / "line.bin"
+    file.write_bytes(encode_message(STATE, 9) * 5000)
+    command = [sys.executable, "-m", "tiger.cli.main", "protocol", "capture", str(file)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.readline()
+        process.stdout.close()
+        assert process.stderr.read() == ""
+
+
 INTERRUPTED_WHILE_IMPORTING = """
 import signal, sys
 class CtrlC:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,8 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from tiger.cli.log import app
+from tiger.logs.export import csv_files
+from tiger.logs.reader import open_log
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -64,6 +67,26 @@ def test_csv_keeps_every_digit(run: Run, tmp_path: Path) -> None:
         assert float(row["outputs.estimate.roll_rad"]) == record.outputs.estimate.roll_rad
         if record.inputs.strokes is not None:
             assert float(row["inputs.strokes.stroke_mm.2"]) == record.inputs.strokes.stroke_mm[2]
+
+
+def test_a_topic_that_is_not_in_the_log_is_named_and_the_others_are_written(run: Run, tmp_path: Path) -> None:
+    wanted = ["--topic", "/nope", "--topic", "/odom"]
+    said = _call("export", "csv", run.folder, "--out", tmp_path, *wanted, code=2)
+    assert "has no messages on /nope;" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["odom.csv"]
+
+
+def test_a_log_that_grows_meanwhile_is_written_as_far_as_it_was(run: Run, tmp_path: Path) -> None:
+    log, reads = open_log(run.folder), []
+
+    class Growing:
+        def messages(self, topics=None):
+            reads.append(topics)
+            every = log.messages(topics)
+            return every if len(reads) > 1 else itertools.islice(every, 500)
+
+    rows = csv_files(Growing(), tmp_path)
+    assert sum(rows.values()) == 500
 
 
 def test_the_bytes_of_a_line_are_read_by_the_capture_command(run: Run, tmp_path: Path) -> None:
