@@ -176,12 +176,7 @@ def _follow(body: Record, ground: Record, inputs: Array, command: Array) -> None
 
 @jit
 def _advance(
-    vehicle: Record,
-    tire: Record,
-    soil: Record,
-    ground: Record,
-    features: Record,
-    heights: Array,
+    plant: kernel.Plant,
     drive: Record,
     body: Record,
     state: Array,
@@ -192,30 +187,34 @@ def _advance(
     felt: Array,
 ) -> None:
     """Move `state` by one step, then feel; lifts and plate go on at their rates meanwhile."""
+    vehicle, ground = plant[0], plant[3]
     _follow(body, ground, inputs, command)
     b, g = body[0], ground[0]
     for _ in range(b.substeps):
         _drive(drive, body, state, inputs, felt, b.substep)
         _post_rates(vehicle, state, b.turning, inputs)
-        kernel.advance(vehicle, tire, soil, ground, features, heights, state, inputs, b.substep, 1, contact)
+        kernel.advance(plant, state, inputs, b.substep, 1, contact)
         for i in range(4):
             inputs[kernel.LIFT_AT + i] += b.substep * inputs[kernel.LIFT_RATE_AT + i]
         g.slope_x += b.substep * b.turning[0]
         g.slope_y += b.substep * b.turning[1]
-    kernel.derivative(vehicle, tire, soil, ground, features, heights, state, inputs, 0.0, rate, contact)
+    kernel.derivative(plant, state, inputs, 0.0, rate, contact)
     _feel(vehicle, drive[0].gravity, b.imu, state, rate, inputs, contact, felt)
 
 
 def _step(arrays: Any, command: Any, felt: Any) -> None:
     """`_advance` as a `tiger_body_step`; `arrays` are the addresses of `VehicleBody._arrays`."""
     sizes = carray(arrays[0], (3,), np.int64)
-    _advance(
+    plant = (
         carray(arrays[1], (1,), kernel.VEHICLE),
         carray(arrays[2], (1,), TIRE),
         carray(arrays[3], (1,), SOIL),
         carray(arrays[4], (1,), GROUND),
         carray(arrays[5], (sizes[0],), FEATURE),
         carray(arrays[6], (sizes[1], sizes[2]), np.float64),
+    )
+    _advance(
+        plant,
         carray(arrays[7], (1,), DRIVE),
         carray(arrays[8], (1,), BODY),
         carray(arrays[9], (kernel.STATES,), np.float64),

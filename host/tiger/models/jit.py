@@ -1,8 +1,8 @@
 """The one decorator under which physics is compiled: numba, cached on disk.
 
-Compiled functions take scalars, arrays and records (rows of structured arrays) only. Parameters travel as
-structured arrays of one row made by `record`, so that a field is read as `row.field` compiled and interpreted
-alike: NUMBA_DISABLE_JIT=1 runs the same source as plain Python, some two hundred times slower.
+Compiled functions take scalars, arrays, records (rows of structured arrays) and tuples of these. Parameters
+travel as structured arrays of one row made by `record`, so that a field is read as `row.field` compiled and
+interpreted alike: NUMBA_DISABLE_JIT=1 runs the same source as plain Python, some two hundred times slower.
 
 numba compiles a cached function anew when its own file has changed, but not when what it calls has: each
 state of the sources here has its own folder of machine code.

@@ -206,10 +206,12 @@ class Vehicle:
         self.config = config
         self.terrain = terrain
         self._vehicle = _vehicle_record(config, speed_droop)
-        self._tire = tire_record(tire_set, config.tire)
-        self._soil = soil_record(soil, tire_set, config.tire)
-        self._ground = terrain.arrays()
-        self._plant = (self._vehicle, self._tire, self._soil, *self._ground)
+        self._plant = (
+            self._vehicle,
+            tire_record(tire_set, config.tire),
+            soil_record(soil, tire_set, config.tire),
+            *terrain.arrays(),
+        )
         self._out = np.empty(kernel.STATES)
         self._contact = np.zeros((4, kernel.CONTACT_FIGURES))
         self._imu = np.array(config.imu_offset_m) - _payload(config)[1]
@@ -217,7 +219,7 @@ class Vehicle:
         self.com_height_m = config.body.com_height_m + float(_payload(config)[1][2])
 
     @property
-    def plant(self) -> tuple[Record, Record, Record, Record, Record, Array]:
+    def plant(self) -> kernel.Plant:
         """What the compiled equations take before the state, for those who compile a loop of their own."""
         return self._plant
 
@@ -255,6 +257,7 @@ class Vehicle:
         """
         locked = self._vehicle.copy()
         locked["spin_inertia"] = np.finfo(float).max ** 0.25
+        plant = (locked, *self._plant[1:])
         held = Inputs() if inputs is None else inputs
         settled = state.copy()
         settled[kernel.SPIN] = 0.0
@@ -262,9 +265,7 @@ class Vehicle:
         down = steps // 5
         for part in (down, steps - down):
             settled[kernel.SLIP] = 0.0
-            kernel.advance(
-                locked, *self._plant[1:], settled, held.vector, DEFAULT_STEP_S, part, self._contact
-            )
+            kernel.advance(plant, settled, held.vector, DEFAULT_STEP_S, part, self._contact)
         return settled
 
     # ---- stepping ------------
@@ -286,12 +287,12 @@ class Vehicle:
 
     def step(self, state: Array, inputs: Inputs, dt_s: float = DEFAULT_STEP_S, steps: int = 1) -> Array:
         """Move `state` in place by `steps` Runge-Kutta steps of `dt_s` with `inputs` held; return it."""
-        kernel.advance(*self._plant, state, inputs.vector, dt_s, steps, self._contact)
+        kernel.advance(self._plant, state, inputs.vector, dt_s, steps, self._contact)
         return state
 
     def rate(self, state: Array, inputs: Inputs) -> Array:
         """Return d(state)/dt (33,)."""
-        kernel.derivative(*self._plant, state, inputs.vector, 0.0, self._out, self._contact)
+        kernel.derivative(self._plant, state, inputs.vector, 0.0, self._out, self._contact)
         return self._out.copy()
 
     def sense(self, state: Array, inputs: Inputs) -> Readings:
@@ -344,7 +345,7 @@ class Vehicle:
         states = np.empty((samples + 1, kernel.STATES))
         rates = np.empty_like(states)
         contacts = np.empty((samples + 1, 4, kernel.CONTACT_FIGURES))
-        kernel.run(*self._plant, state.copy(), table, dt_s, steps_per_sample, states, rates, contacts)
+        kernel.run(self._plant, state.copy(), table, dt_s, steps_per_sample, states, rates, contacts)
         time = np.arange(samples + 1, dtype=np.float64) * (dt_s * steps_per_sample)
         return History(time, states, rates, contacts, self.corners_m)
 

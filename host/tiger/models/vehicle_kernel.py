@@ -63,9 +63,15 @@ VEHICLE = np.dtype(
 )
 """A vehicle as compiled code reads it: COM-relative corner places, strut preload and unloaded tyre radius."""
 
+Plant = tuple[Record, Record, Record, Record, Record, Array]
+"""A vehicle where it drives: VEHICLE, tire.TIRE, soil.SOIL, then ground, features, heights of a terrain."""
+
+Rotation = tuple[float, float, float, float, float, float, float, float, float]
+"""Body to world, row by row."""
+
 
 @jit
-def _rotation(state: Array) -> tuple[float, float, float, float, float, float, float, float, float]:
+def _rotation(state: Array) -> Rotation:
     """Rows of eq. 5.2 from the quaternion: its columns are the body's axes in the world."""
     w, x, y, z = state[3], state[4], state[5], state[6]
     return (
@@ -73,6 +79,20 @@ def _rotation(state: Array) -> tuple[float, float, float, float, float, float, f
         *(2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
         *(2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
     )
+
+
+@jit
+def _in_world(rotation: Rotation, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Turn a vector from body into world axes."""
+    r11, r12, r13, r21, r22, r23, r31, r32, r33 = rotation
+    return r11 * x + r12 * y + r13 * z, r21 * x + r22 * y + r23 * z, r31 * x + r32 * y + r33 * z
+
+
+@jit
+def _in_body(rotation: Rotation, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Turn a vector from world into body axes."""
+    r11, r12, r13, r21, r22, r23, r31, r32, r33 = rotation
+    return r11 * x + r21 * y + r31 * z, r12 * x + r22 * y + r32 * z, r13 * x + r23 * y + r33 * z
 
 
 @jit
@@ -107,12 +127,7 @@ def _quaternion_rate(state: Array, p: float, q: float, r: float, out: Array) -> 
 
 @jit
 def derivative(
-    vehicle: Record,
-    tire: Record,
-    soil: Record,
-    ground: Record,
-    features: Record,
-    heights: Array,
+    plant: Plant,
     state: Array,
     inputs: Array,
     lead: float,
@@ -123,11 +138,12 @@ def derivative(
 
     `lead` is the time since the inputs were set: the lift has gone on at its rate since.
     """
+    vehicle, tire, soil, ground, features, heights = plant
     v, t, s = vehicle[0], tire[0], soil[0]
     u, w_side, w_up = state[7], state[8], state[9]
     p, q, r = state[10], state[11], state[12]
 
-    r11, r12, r13, r21, r22, r23, r31, r32, r33 = _rotation(state)
+    rotation = r11, r12, r13, r21, r22, r23, r31, r32, r33 = _rotation(state)
     gx, gy, gz = -v.gravity * r31, -v.gravity * r32, -v.gravity * r33
 
     # Accelerations of the COM that need no force: omega x v.
@@ -153,9 +169,7 @@ def derivative(
         cy = state[1] + r21 * x + r22 * y + r23 * z
         cz = state[2] + r31 * x + r32 * y + r33 * z
         bx, by, bz = u + q * z - r * y, w_side + r * x - p * z, w_up + p * y - q * x + strut_rate
-        wx = r11 * bx + r12 * by + r13 * bz
-        wy = r21 * bx + r22 * by + r23 * bz
-        wz = r31 * bx + r32 * by + r33 * bz
+        wx, wy, wz = _in_world(rotation, bx, by, bz)
 
         # Tyre spring between ground and wheel, unilateral; its force is minus the gradient of its energy, so
         # that a slope pushes back (erratum of eq. 5.4) and a bump gives no energy away.
@@ -176,9 +190,7 @@ def derivative(
 
         # Sliding: roll moves the contact sideways (erratum 14), spin moves it back.
         arm = (cz - height) / steepness
-        hbx = r11 * ax + r21 * ay + r31 * az
-        hby = r12 * ax + r22 * ay + r32 * az
-        hbz = r13 * ax + r23 * ay + r33 * az
+        hbx, hby, hbz = _in_body(rotation, ax, ay, az)
         forward = ax * wx + ay * wy + az * wz
         sideways = ex * wx + ey * wy + ez * wz + arm * (p * hbx + q * hby + r * hbz)
         slip_speed = spin * v.rolling_radius - forward
@@ -206,9 +218,7 @@ def derivative(
         px = -vertical * hx + along * ax + tire_fy * ex
         py = -vertical * hy + along * ay + tire_fy * ey
         pz = vertical + along * az + tire_fy * ez
-        qbx = r11 * px + r21 * py + r31 * pz
-        qby = r12 * px + r22 * py + r32 * pz
-        qbz = r13 * px + r23 * py + r33 * pz
+        qbx, qby, qbz = _in_body(rotation, px, py, pz)
 
         # Strut (eqs. 5.7-5.9, with preload): up on the body, down on the wheel (erratum of eq. 5.10).
         strut_force = (
@@ -265,20 +275,13 @@ def derivative(
     for i in range(4):
         out[STRUT_RATE_AT + i] -= w_dot + p_dot * v.y[i] - q_dot * v.x[i]
 
-    out[0] = r11 * u + r12 * w_side + r13 * w_up
-    out[1] = r21 * u + r22 * w_side + r23 * w_up
-    out[2] = r31 * u + r32 * w_side + r33 * w_up
+    out[0], out[1], out[2] = _in_world(rotation, u, w_side, w_up)
     _quaternion_rate(state, p, q, r, out)
 
 
 @jit
 def advance(
-    vehicle: Record,
-    tire: Record,
-    soil: Record,
-    ground: Record,
-    features: Record,
-    heights: Array,
+    plant: Plant,
     state: Array,
     inputs: Array,
     dt: float,
@@ -290,18 +293,18 @@ def advance(
     trial = np.empty(STATES)
     lead = 0.0
     for _ in range(steps):
-        derivative(vehicle, tire, soil, ground, features, heights, state, inputs, lead, k[0], contact)
+        derivative(plant, state, inputs, lead, k[0], contact)
         for j in range(STATES):
             trial[j] = state[j] + 0.5 * dt * k[0, j]
         half = lead + 0.5 * dt
-        derivative(vehicle, tire, soil, ground, features, heights, trial, inputs, half, k[1], contact)
+        derivative(plant, trial, inputs, half, k[1], contact)
         for j in range(STATES):
             trial[j] = state[j] + 0.5 * dt * k[1, j]
-        derivative(vehicle, tire, soil, ground, features, heights, trial, inputs, half, k[2], contact)
+        derivative(plant, trial, inputs, half, k[2], contact)
         for j in range(STATES):
             trial[j] = state[j] + dt * k[2, j]
         lead += dt
-        derivative(vehicle, tire, soil, ground, features, heights, trial, inputs, lead, k[3], contact)
+        derivative(plant, trial, inputs, lead, k[3], contact)
         for j in range(STATES):
             state[j] += dt / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
         norm = sqrt(state[3] ** 2 + state[4] ** 2 + state[5] ** 2 + state[6] ** 2)
@@ -311,12 +314,7 @@ def advance(
 
 @jit
 def run(
-    vehicle: Record,
-    tire: Record,
-    soil: Record,
-    ground: Record,
-    features: Record,
-    heights: Array,
+    plant: Plant,
     state: Array,
     inputs: Array,
     dt: float,
@@ -328,22 +326,8 @@ def run(
     """Advance by `steps` per row of `inputs` (n, 34); record state, its rate and contacts (n + 1, ...)."""
     n = inputs.shape[0]
     for i in range(n):
-        derivative(
-            vehicle, tire, soil, ground, features, heights, state, inputs[i], 0.0, rates[i], contacts[i]
-        )
+        derivative(plant, state, inputs[i], 0.0, rates[i], contacts[i])
         states[i] = state
-        advance(vehicle, tire, soil, ground, features, heights, state, inputs[i], dt, steps, contacts[n])
-    derivative(
-        vehicle,
-        tire,
-        soil,
-        ground,
-        features,
-        heights,
-        state,
-        inputs[n - 1],
-        steps * dt,
-        rates[n],
-        contacts[n],
-    )
+        advance(plant, state, inputs[i], dt, steps, contacts[n])
+    derivative(plant, state, inputs[n - 1], steps * dt, rates[n], contacts[n])
     states[n] = state

@@ -221,8 +221,8 @@ ERRATA = [
     Erratum(
         "7: gravity without the loads' share (5.4)",
         leaning_body_is_not_driven_by_gravity,
-        "qbx = r11 * px + r21 * py + r31 * pz",
-        "qbx = r11 * px + r21 * py + r31 * (pz - vertical)",
+        "qbx, qby, qbz = _in_body(rotation, px, py, pz)",
+        "qbx, qby, qbz = _in_body(rotation, px, py, pz)\n        qbx -= r31 * vertical",
     ),
     Erratum(
         "8: arm of the side force (5.15)",
