@@ -331,6 +331,8 @@ class _Means(NamedTuple):
     direction: float
     turned_rad: float
     travelled_m: float
+    gyroscopic_nm: float
+    """Moment of the spinning wheels that a turn leans the body with, to the right in a turn to the left."""
     tells: bool
     """The drive force tells of the mass."""
 
@@ -357,6 +359,7 @@ def _means(design: PayloadDesign, span: Span, now: Measured, drive_n: float) -> 
         span.direction / n,
         span.turned_rad,
         span.travelled_m,
+        gyroscopic_nm(design, span.direction / n * span.travelled_m / time, span.turned_rad / time),
         span.tells and now.fresh,
     )
 
@@ -407,16 +410,17 @@ def _updated(
     mean, covariance = _moved(config, mean, covariance, segment, seen.turned_rad, seen.travelled_m)
     fx, fy = seen.tilting_ahead_mps2, seen.tilting_left_mps2
     variance = math.radians(config.attitude_noise_deg) ** 2
-    spent_nm = _spent_nm(design, mean, seen.spin_mps2, seen.direction)
-    along, foretold = _pitched(design, mean, fx, seen.posed_pitch_rad, spent_nm)
-    across, rolled = _rolled(design, mean, seen, spent_nm)
+    load_kg, rolling = float(mean[MASS]), float(mean[ROLLING])
+    wasted_nm = spent_nm(design, load_kg, rolling, seen.spin_mps2, seen.direction)
+    along, foretold = _pitched(design, mean, seen, wasted_nm)
+    across, rolled = _rolled(design, mean, seen, wasted_nm)
     if stood and (
         _beyond(covariance, along, seen.pitch_rad - foretold, variance, config.changed_sigmas)
         or _beyond(covariance, across, seen.roll_rad - rolled, variance, config.changed_sigmas)
     ):
         covariance = covariance + _open(design)
     mean, covariance = _corrected(mean, covariance, along, seen.pitch_rad - foretold, variance)
-    across, rolled = _rolled(design, mean, seen, spent_nm)
+    across, rolled = _rolled(design, mean, seen, wasted_nm)
     mean, covariance = _corrected(mean, covariance, across, seen.roll_rad - rolled, variance)
     if seen.tells:
         row, pulled = _driven(design, mean, seen)
@@ -426,22 +430,27 @@ def _updated(
             covariance[ROLLING, ROLLING] += config.soft_resistance**2
         mean, covariance = _corrected(mean, covariance, row, off, variance)
     lever, _ = _lever(design, mean)
-    climb = -seen.pitch_rad - (fx * lever + spent_nm) / design.pitch_nmprad
+    climb = -seen.pitch_rad - (fx * lever + wasted_nm) / design.pitch_nmprad
     rise = seen.roll_rad - fy * lever / design.roll_nmprad
     return mean, covariance, _roughness(config, segment, seen.travelled_m, climb, rise)
 
 
-def _pitched(
-    design: PayloadDesign, mean: Array, fx: float, posed_rad: float, spent_nm: float
-) -> tuple[Array, float]:
+def gyroscopic_nm(design: PayloadDesign, wheels_mps: float, yaw_rate_radps: float) -> float:
+    """Moment in Nm that turns the wheels' spin with the robot: the body leans outward for it."""
+    return design.spin_kg * design.radius_m * wheels_mps * yaw_rate_radps
+
+
+def _pitched(design: PayloadDesign, mean: Array, seen: _Means, wasted_nm: float) -> tuple[Array, float]:
     """Derivatives (9,) of the pitch by ground and load, and the pitch itself beside the strokes' own."""
-    row, pitch = _pressed_forward(design, mean, fx, posed_rad, spent_nm)
+    lean = seen.posed_roll_rad + _leant(design, mean, seen)
+    wasted_nm += seen.yaw_nm * lean
+    row, pitch = _pressed_forward(design, mean, seen.tilting_ahead_mps2, seen.posed_pitch_rad, wasted_nm)
     row[CLIMB] = row[CLIMB_HERE] = -1.0
     return row, pitch - float(mean[CLIMB] + mean[CLIMB_HERE])
 
 
 def _pressed_forward(
-    design: PayloadDesign, mean: Array, fx: float, posed_rad: float, spent_nm: float
+    design: PayloadDesign, mean: Array, fx: float, posed_rad: float, wasted_nm: float
 ) -> tuple[Array, float]:
     """Derivatives (9,) of the pitch of the body on its springs, and this pitch itself."""
     lever, per_kg = _lever(design, mean)
@@ -449,28 +458,39 @@ def _pressed_forward(
     give = 1.0 / (design.pitch_nmprad + upright)
     row = np.zeros(STATES)
     row[AHEAD], row[MASS], row[UP] = GRAVITY_MPS2 * give, -fx * per_kg * give, -fx * give
-    return row, give * (GRAVITY_MPS2 * float(mean[AHEAD]) - fx * lever - upright * posed_rad - spent_nm)
+    return row, give * (GRAVITY_MPS2 * float(mean[AHEAD]) - fx * lever - upright * posed_rad - wasted_nm)
 
 
-def _spent_nm(design: PayloadDesign, mean: Array, accel_mps2: float, ahead: float) -> float:
-    """Torque of the motors that no force on the ground comes of: spinning the wheels up, and rolling them."""
-    weight = GRAVITY_MPS2 * (design.empty_kg + float(mean[MASS]))
-    return design.radius_m * (design.spin_kg * accel_mps2 + ahead * float(mean[ROLLING]) * weight)
+def _leant(design: PayloadDesign, mean: Array, seen: _Means) -> float:
+    """Roll of the body on its springs, as long as it does not pitch."""
+    upright = _upright(design, mean)
+    moment = seen.tilting_left_mps2 * _lever(design, mean)[0] - GRAVITY_MPS2 * float(mean[LEFT])
+    moment += seen.gyroscopic_nm - upright * seen.posed_roll_rad
+    return moment / (design.roll_nmprad + upright)
 
 
-def _rolled(design: PayloadDesign, mean: Array, seen: _Means, spent_nm: float) -> tuple[Array, float]:
+def spent_nm(
+    design: PayloadDesign, mass_kg: float, rolling_resistance: float, accel_mps2: float, ahead: float
+) -> float:
+    """Torque of the motors that no force on the ground comes of: spinning the wheels up, and rolling them.
+
+    `mass_kg` is the payload's; `ahead` is 1 of wheels that roll ahead, -1 back, 0 at rest.
+    """
+    weight = GRAVITY_MPS2 * (design.empty_kg + mass_kg)
+    return design.radius_m * (design.spin_kg * accel_mps2 + ahead * rolling_resistance * weight)
+
+
+def _rolled(design: PayloadDesign, mean: Array, seen: _Means, wasted_nm: float) -> tuple[Array, float]:
     """Derivatives (9,) of the roll by ground and load, and the roll itself beside the strokes' own."""
     fx, fy = seen.tilting_ahead_mps2, seen.tilting_left_mps2
-    lever, per_kg = _lever(design, mean)
-    upright = _upright(design, mean)
-    give = 1.0 / (design.roll_nmprad + upright)
+    per_kg = _lever(design, mean)[1]
+    give = 1.0 / (design.roll_nmprad + _upright(design, mean))
     row = np.zeros(STATES)
     row[RISE] = row[RISE_HERE] = 1.0
     row[LEFT], row[MASS], row[UP] = -GRAVITY_MPS2 * give, fy * per_kg * give, fy * give
-    pitch = _pressed_forward(design, mean, fx, seen.posed_pitch_rad, spent_nm)[1] + seen.posed_pitch_rad
-    moment = fy * lever - GRAVITY_MPS2 * float(mean[LEFT])
-    moment -= upright * seen.posed_roll_rad + seen.yaw_nm * pitch
-    return row, float(mean[RISE] + mean[RISE_HERE]) + give * moment
+    pitch = _pressed_forward(design, mean, fx, seen.posed_pitch_rad, wasted_nm)[1] + seen.posed_pitch_rad
+    rolled = _leant(design, mean, seen) - give * seen.yaw_nm * pitch
+    return row, float(mean[RISE] + mean[RISE_HERE]) + rolled
 
 
 def _upright(design: PayloadDesign, mean: Array) -> float:

@@ -5,11 +5,13 @@ that the body's accelerations ask for. With the specific force f at the body, th
 and first moments of the load (`payload`) and the lever H = sum of mass x height above the ground,
 
     sum F   = m_body f_z + m_wheels g
-    sum x F = m x f_z - H f_x - I_y q' - W r pitch
-    sum y F = m y f_z - H f_y + I_x p' + W r roll
+    sum x F = m x f_z - H f_x - I_y q' - W r pitch - T
+    sum y F = m y f_z - H f_y + I_x p' + W r roll - h yaw rate
 
 Pitch and roll are those of the body against the ground, by strokes and springs: the wheels stay upright under
-it, which moves their contacts by the tilt times the radius r under the weight W.
+it, which moves their contacts by the tilt times the radius r under the weight W. T is the torque that the
+motors spend on spinning the wheels up and on rolling them, which presses the tail down; h is the wheels'
+spin, which a turn turns round with the robot: that presses the outer side down.
 
 The fourth is the twist: ground and strokes together load one diagonal and relieve the other, through spring
 and tyre in series. The ground's share is inferred elsewhere (`contact`). A twist that would pull at a wheel
@@ -74,6 +76,8 @@ class LoadsState:
     load: Payload
     force_mps2: Three = (0.0, 0.0, GRAVITY_MPS2)
     turn_radps2: tuple[float, float] = (0.0, 0.0)
+    wheels_nm: tuple[float, float] = (0.0, 0.0)
+    """Moments that the wheels' spin and rolling take: of pitch, pressing the tail down, and of roll."""
     current_a: Four = STILL
     """Last readings, left then right, front then rear."""
     read: tuple[bool, bool] = (False, False)
@@ -165,9 +169,15 @@ def step(
     (fx, fy, fz), (p, q) = state.force_mps2, state.turn_radps2
     turn = imu.angular_accel_radps2
     smooth = fx + share * (force[0] - fx), fy + share * (force[1] - fy), fz + share * (force[2] - fz)
+    gained_mps2 = smooth[0] + GRAVITY_MPS2 * math.sin(pitch)
+    ahead = max(-1.0, min(1.0, wheels_mps / design.payload.config.moving_mps))
+    wheels_nm = (
+        payload.spent_nm(design.payload, load.mass_kg, load.rolling_resistance, gained_mps2, ahead),
+        payload.gyroscopic_nm(design.payload, wheels_mps, rate[2]),
+    )
     swing = p + share * (turn[0] - p), q + share * (turn[1] - q)
     read = (False, False) if fresh else (left_read, right_read)
-    after = LoadsState(carrying, load, smooth, swing, current_a, read, imu.t_s)
+    after = LoadsState(carrying, load, smooth, swing, wheels_nm, current_a, read, imu.t_s)
     return after, _loads(design, after, estimate.loads, posed)
 
 
@@ -231,8 +241,9 @@ def _three_equations(design: LoadsDesign, state: LoadsState, posed: Pose) -> Fou
     lever = load.lever_kgm
     total = (design.payload.body_kg + load.mass_kg) * fz + design.wheels_kg * GRAVITY_MPS2
     upright = load.upright_nmprad
-    ahead = x * fz - lever * fx - design.inertia_kgm2[1] * state.turn_radps2[1] - upright * posed.pitch_rad
-    left = y * fz - lever * fy + design.inertia_kgm2[0] * state.turn_radps2[0] + upright * posed.roll_rad
+    (p, q), (tail_nm, outer_nm) = state.turn_radps2, state.wheels_nm
+    ahead = x * fz - lever * fx - design.inertia_kgm2[1] * q - upright * posed.pitch_rad - tail_nm
+    left = y * fz - lever * fy + design.inertia_kgm2[0] * p + upright * posed.roll_rad - outer_nm
     ahead *= design.payload.pitch_nmprad / (design.payload.pitch_nmprad + upright)
     left *= design.payload.roll_nmprad / (design.payload.roll_nmprad + upright)
     fl, fr, rl, rr = (a * total + b * ahead + c * left for a, b, c in design.shares)

@@ -64,6 +64,38 @@ def test_on_level_ground_starts_and_stops_are_followed(roll: Roll) -> None:
     assert rms(off) < 6.0
 
 
+@pytest.mark.parametrize("yaw_rate", [1.5, -1.5])
+def test_in_a_steady_turn_the_loads_are_the_true_ones(roll: Roll, yaw_rate: float) -> None:
+    """An eighth of the weight more is on the outer wheels; each wheel's load is told to 2 N of 200 N."""
+
+    def circle(time_s: float) -> tuple[float, float]:
+        return min(2.0, max(0.0, time_s - 1.0)), yaw_rate if time_s > 3.5 else 0.0
+
+    state, estimate, loads_n = wheel_loads.initial_state(DESIGN), Estimate(ready=True), []
+    for tick in roll(ROBOT, Scenario(title="circle", duration_s=10.0, friction=0.5), circle, 1):
+        state, loads = wheel_loads.step(DESIGN, state, tick.inputs, estimate, EXACT, 0.005)
+        estimate = replace(estimate, loads=loads)
+        loads_n.append((loads.wheel_load_n, tick.truth.wheel_load_n))
+    told, true = np.mean(loads_n[-400:], axis=0)
+    assert abs(true @ np.array([1.0, -1.0, 1.0, -1.0])) > 80.0  # so much leans on the outer wheels
+    np.testing.assert_allclose(told, true, atol=2.0)
+
+
+def test_wheels_that_roll_and_spin_up_press_the_tail_down() -> None:
+    """By the motors' torque that no force on the ground comes of; and what they carry stays the same."""
+    state = wheel_loads.initial_state(DESIGN)
+    level = DESIGN.payload.suspension.pose((0.0,) * 4)
+    free = np.array(wheel_loads._three_equations(DESIGN, state, level))
+    driven = np.array(wheel_loads._three_equations(DESIGN, replace(state, wheels_nm=(5.0, 0.0)), level))
+    turned = np.array(wheel_loads._three_equations(DESIGN, replace(state, wheels_nm=(0.0, 5.0)), level))
+    upright, payload = state.load.upright_nmprad, DESIGN.payload
+    half_base, half_track = ROBOT.vehicle.body.wheelbase_m / 2.0, ROBOT.vehicle.body.half_track_m
+    down = 5.0 / (4.0 * half_base) * payload.pitch_nmprad / (payload.pitch_nmprad + upright)
+    out = 5.0 / (4.0 * half_track) * payload.roll_nmprad / (payload.roll_nmprad + upright)
+    np.testing.assert_allclose(driven - free, [-down, -down, down, down], atol=1e-9)
+    np.testing.assert_allclose(turned - free, [-out, out, -out, out], atol=1e-9)
+
+
 def test_on_rough_ground_with_a_load_they_are_within_a_tenth_of_the_weight(roll: Roll) -> None:
     rough = TerrainConfig(rough=RoughConfig(roughness="B", size_m=(60.0, 60.0), shortest_wave_m=0.5, seed=3))
     scenario = Scenario(
