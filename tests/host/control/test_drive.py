@@ -93,6 +93,14 @@ def test_a_ramp_arrives_in_time_within_its_limits(
     assert steps * DT <= least + 4 * DT
 
 
+@given(value=st.floats(-3, 3), rate=st.floats(-2, 2), wanted=st.floats(-3, 3))
+def test_a_ramp_down_mirrors_a_ramp_up(value: float, rate: float, wanted: float) -> None:
+    for _ in range(50):
+        up = ramp(Ramp(value, rate), wanted, 1.0, 5.0, DT)
+        assert ramp(Ramp(-value, -rate), -wanted, 1.0, 5.0, DT) == Ramp(-up.value, -up.rate)
+        value, rate = up.value, up.rate
+
+
 def test_a_setpoint_taken_back_at_speed_is_still_smooth() -> None:
     now, trail = Ramp(), []
     for step in range(3000):
@@ -152,6 +160,27 @@ def test_by_choice_mega_speed_closes_the_wheel_speed_loop() -> None:
     assert wheels == pytest.approx([rpm + ROBOT.drive.wheel_trim_max_rpm for rpm in nominal])
     assert drive_for(ROBOT, Command(speed_mps=1.0), inputs)[1] == pytest.approx(nominal)
     assert state.wheel_trim_rpm == (ROBOT.drive.wheel_trim_max_rpm,) * 4
+
+
+def test_each_wheel_is_trimmed_by_its_own_sensor() -> None:
+    robot = tuned(speed_source="mega_speed", wheel_trim_max_rpm=1e3)
+    behind_radps = (0.1, 0.2, 0.3, 0.4)
+    command = Command(speed_mps=0.5)
+    nominal = wheel_speeds_rpm(design_drive(robot), 0.5, 0.0, MID)
+    fl, fr, rl, rr = (math.pi / 30.0 * nominal[0] - missing for missing in behind_radps)
+    inputs = Inputs(
+        0.0,
+        True,
+        strokes=STROKES,
+        wheels_left=WheelSample(0.0, (0, 0), (fl, rl), 0),
+        wheels_right=WheelSample(0.0, (0, 0), (fr, rr), 0),
+    )
+    steady = DriveState(Ramp(0.5), Ramp(0.0))
+    state, _ = drive.step(design_drive(robot), steady, command, inputs, DT)
+    gain = ROBOT.drive.wheel_speed_gain_per_s * DT
+    assert state.wheel_trim_rpm == pytest.approx(
+        [30.0 / math.pi * gain * missing for missing in behind_radps]
+    )
 
 
 def test_a_robot_that_only_levels_never_turns_a_wheel() -> None:

@@ -352,6 +352,25 @@ def test_speeds_are_read_back_in_thousandths_of_the_controllers_full_scale() -> 
     assert bench.driver.changed_commands == 0
 
 
+def test_a_full_scale_that_is_answered_in_two_ways_is_asked_again() -> None:
+    class MisreadOnce(Controller):
+        misread = False
+
+        def _get(self, name: str, numbers: tuple[int, ...]) -> str:
+            answer = super()._get(name, numbers)
+            if name != "MXRPM" or self.misread:
+                return answer
+            self.misread = True
+            return answer.replace("1000", "9000")
+
+    bench = Bench(MisreadOnce())
+    bench.run(1000)
+    assert bench.driver.release()
+    bench.run(300, command=(20.0, -15.0))
+    assert bench.driver.changed_commands == 0
+    assert bench.controller.motor_rpm == (20.0, -15.0)
+
+
 def test_a_controller_that_cannot_read_back_is_named_with_the_key_that_helps() -> None:
     class OldFirmware(Controller):
         def _measured(self, name: str) -> list[int]:

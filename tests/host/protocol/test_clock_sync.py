@@ -112,7 +112,18 @@ def test_a_clock_that_really_jumped_is_followed_after_five_rejections() -> None:
     end_s = board.run(sync, 0.0, 30.0)
     board.offset_s += 3.0
     end_s = board.run(sync, end_s, 30.0)
+    assert sync.rejected == 5
     assert sync.to_host(board.clock_us(end_s)) == pytest.approx(end_s, abs=1e-3)
+
+
+def test_after_a_reset_nothing_is_remembered() -> None:
+    sync, board = ClockSync(), Board()
+    board.run(sync, 0.0, 30.0)
+    sync.to_host(board.clock_us(30.0))
+    board.offset_s += 3.0
+    assert not board.exchange(sync, 31.0)
+    sync.reset()
+    assert vars(sync) == vars(ClockSync(sync.config))
 
 
 def test_frames_of_different_length_do_not_shift_the_clock() -> None:

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from tiger.protocol.frame import FrameDecoder, encode_message
+from tiger.protocol.frame import OVERHEAD_BYTES, FrameDecoder, encode_message
 from tiger.protocol.link import (
     Event,
     Identified,
@@ -18,6 +18,7 @@ from tiger.protocol.link import (
     Telemetry,
 )
 from tiger.protocol.messages import (
+    BAUD,
     PROTO,
     SCHEMA_HASH,
     TO_BOARD,
@@ -382,3 +383,27 @@ def test_pings_come_as_a_burst_and_then_once_a_second(wire: Wire) -> None:
     pauses = [b - a for a, b in pairwise(times)]
     assert pauses[:7] == pytest.approx([0.03] * 7, abs=2e-3)
     assert pauses[7:] == pytest.approx([0.98] * len(pauses[7:]), abs=2e-3)
+
+
+def test_an_answer_to_a_ping_of_long_ago_tells_nothing_of_the_clock(wire: Wire) -> None:
+    (event,) = wire.introduce()
+    assert isinstance(event, Identified)
+    first, *_ = [m for m in wire.sent() if isinstance(m, Ping)]
+    for _ in range(20):
+        wire.wait(0.5)
+        wire.say(health())
+        wire.sent()
+    wire.say(Pong(0, first.host_us, 1_000_000, 1_000_100))
+    assert (event.session.clock.accepted, event.session.clock.gated) == (0, 0)
+
+
+def test_the_way_to_the_nano_counts_both_lines(wire: Wire) -> None:
+    (mega,) = wire.introduce(BoardKind.MEGA_SUSPENSION)
+    (nano,) = wire.say(reply(BoardKind.NANO_IMU))
+    assert isinstance(mega, Identified)
+    assert isinstance(nano, Identified)
+    for message, way in ((Ping, "wire_up_s"), (Pong, "wire_down_s")):
+        line_s = 10 * (message.SIZE + OVERHEAD_BYTES) / 500_000
+        assert getattr(mega.session, way) == pytest.approx(line_s)
+        second_s = 10 * (message.SIZE + OVERHEAD_BYTES) / BAUD["nano_serial"]
+        assert getattr(nano.session, way) == pytest.approx(line_s + second_s)
