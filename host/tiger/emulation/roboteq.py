@@ -33,11 +33,13 @@ CHANNELS = 2
 BAUD = 115200
 BYTE_NS = 10 * 1_000_000_000 // BAUD
 LINE_LIMIT = 64
+FULL_POWER = 1000
+"""A motor's full speed in `!G` and `!M`."""
+MOST_RPM = 65000
 STILL = [0.0] * CHANNELS
 NO_FLAGS = [0] * CHANNELS
 
 FF_EMERGENCY_STOP = 16
-FF_DEFAULT_CONFIG = 128
 FF_STAGE_OFF = 1 | 2 | 4 | 8 | FF_EMERGENCY_STOP | 32 | 64
 """Fault bits that switch the power stage off: heat, voltage, short, e-stop, motor sensor, MOSFET."""
 FS_SERIAL, FS_STAGE_OFF = 1, 8
@@ -60,7 +62,7 @@ class Setting:
 SETTINGS = {
     "RWD": Setting(1000, 0, 65000),  # watchdog, ms; 0 disables
     "ECHOF": Setting(0, 0, 1),  # 1: no echo
-    "MXRPM": Setting(1000, 10, 65000, per_channel=True),  # rpm at !G 1000
+    "MXRPM": Setting(1000, 10, MOST_RPM, per_channel=True),  # rpm at !G 1000
     "MAC": Setting(20000, 0, 500000, per_channel=True),  # acceleration, 0.1 rpm/s
     "MDEC": Setting(20000, 0, 500000, per_channel=True),  # deceleration, 0.1 rpm/s
 }
@@ -262,30 +264,36 @@ class Roboteq:
         raise Refused
 
     def _command(self, name: str, numbers: tuple[int, ...]) -> str:
-        if name == "G":
-            channel, power = _channel_and(numbers, most=1000)
-            self._command_rpm[channel] = power / 1000.0 * self._settings["MXRPM"][channel]
-        elif name == "S":
-            channel, rpm = _channel_and(numbers, most=65000)
-            most = self._settings["MXRPM"][channel]
-            self._command_rpm[channel] = float(min(max(rpm, -most), most))
-        elif name == "M":
-            if not 1 <= len(numbers) <= CHANNELS or any(abs(power) > 1000 for power in numbers):
+        match name, numbers:
+            case "G", (number, power):
+                self._drive(_channel(number), power)
+            case "S", (number, rpm) if abs(rpm) <= MOST_RPM:
+                channel = _channel(number)
+                most = self._settings["MXRPM"][channel]
+                self._command_rpm[channel] = float(min(max(rpm, -most), most))
+            case "M", (left,):
+                self._drive(0, left)
+            case "M", (left, right) if abs(right) <= FULL_POWER:
+                self._drive(0, left)
+                self._drive(1, right)
+            case "MS", (number,):
+                self._command_rpm[_channel(number)] = 0.0
+            case "EX", ():
+                self._emergency = True
+            case "MG", ():
+                self._emergency = False  # a pressed input sets it again at once
+            case _:
                 raise Refused
-            for channel, power in enumerate(numbers):
-                self._command_rpm[channel] = power / 1000.0 * self._settings["MXRPM"][channel]
-        elif name == "MS" and len(numbers) == 1:
-            self._command_rpm[_channel(numbers[0])] = 0.0
-        elif name == "EX" and not numbers:
-            self._emergency = True
-        elif name == "MG" and not numbers:
-            self._emergency = False  # a pressed input sets it again at once
-        else:
-            raise Refused
         timeout_ms = self._settings["RWD"][0]
         self._watchdog_expired = False  # and whatever stood before the expiry runs again
         self._watchdog_due_ns = self._now_ns + timeout_ms * 1_000_000 if timeout_ms else None
         return "+"
+
+    def _drive(self, channel: int, power: int) -> None:
+        """Command a share of the channel's full speed."""
+        if abs(power) > FULL_POWER:
+            raise Refused
+        self._command_rpm[channel] = power / FULL_POWER * self._settings["MXRPM"][channel]
 
     def _query(self, name: str, numbers: tuple[int, ...]) -> str:
         if name == "FID":
@@ -396,10 +404,3 @@ def _channel(number: int) -> int:
     if not 1 <= number <= CHANNELS:
         raise Refused
     return number - 1
-
-
-def _channel_and(numbers: tuple[int, ...], most: int) -> tuple[int, int]:
-    """Take (channel, value); a dual-channel unit wants both."""
-    if len(numbers) != 2 or abs(numbers[1]) > most:
-        raise Refused
-    return _channel(numbers[0]), numbers[1]

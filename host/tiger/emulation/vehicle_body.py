@@ -10,6 +10,7 @@ the start, and posts under the wheels carry on its motion, so that height is con
 from __future__ import annotations
 
 import sys
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from math import asin, atan2, ceil, cos, isnan, nan, pi, sin, tan
@@ -45,10 +46,11 @@ from tiger.models.vehicle import Inputs, Vehicle
 from tiger.native._core import ffi
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from tiger.config.vehicle import VehicleConfig
     from tiger.emulation.scenarios import Scenario
+    from tiger.models.terrain import Terrain
 
 Array = NDArray[np.float64]
 
@@ -260,35 +262,13 @@ class VehicleBody(Body):
         inputs.lift_m[:] = lift_m
         start = scenario.start
         spin_radps = start.speed_mps / config.tire.rolling_radius_m
-        self._body = record(
-            BODY,
-            {
-                "slope_x": terrain.slope_x,
-                "slope_y": terrain.slope_y,
-                "imu": self._vehicle.imu_place_m,
-                "plate": plate_rad,
-                "turning": 0.0,
-                "lift": lift_m,
-                "wheel_rpm": 0.0,
-                "command": spin_radps,
-                "integral": 0.0,
-                "dt": LONGEST_STEP_S,
-                "substep": LONGEST_STEP_S,
-                "substeps": 0,
-                "moves": False,
-            },
-        )
+        self._body = _body_record(terrain, self._vehicle.imu_place_m, plate_rad, lift_m, spin_radps)
         self._contact = np.zeros((4, kernel.CONTACT_FIGURES))
 
-        notice = Timer(NOTICE_AFTER_S, print, (NOTICE,), {"file": sys.stderr, "flush": True})
-        notice.daemon = True
-        notice.start()
-        try:
+        with _notice_when_compiling():
             stands = self._vehicle.at_rest(start.x_m, start.y_m, start.yaw_deg * pi / 180.0)
             self._state = self._vehicle.settle(stands, inputs=inputs)
             self.step = _compiled_step()
-        finally:
-            notice.cancel()
         self._state[kernel.VELOCITY.start] += start.speed_mps
         self._state[kernel.SPIN] = spin_radps
         self._arrays = self._plant_and_state(config, inputs)
@@ -348,6 +328,46 @@ def _as_in(scenario: Scenario, vehicle: VehicleConfig) -> VehicleConfig:
     if scenario.payload is not None:
         changes["payload"] = scenario.payload
     return vehicle.model_copy(update=changes) if changes else vehicle
+
+
+@contextmanager
+def _notice_when_compiling() -> Iterator[None]:
+    """Tell a person who waits for long what it waits for."""
+    notice = Timer(NOTICE_AFTER_S, print, (NOTICE,), {"file": sys.stderr, "flush": True})
+    notice.daemon = True
+    notice.start()
+    try:
+        yield
+    finally:
+        notice.cancel()
+
+
+def _body_record(
+    terrain: Terrain,
+    imu_place_m: Array,
+    plate_rad: tuple[float, float],
+    lift_m: Sequence[float],
+    spin_radps: float,
+) -> Record:
+    """A body before its first step, on a plate that stands still, its wheels told to keep their speed."""
+    return record(
+        BODY,
+        {
+            "slope_x": terrain.slope_x,
+            "slope_y": terrain.slope_y,
+            "imu": imu_place_m,
+            "plate": plate_rad,
+            "turning": 0.0,
+            "lift": lift_m,
+            "wheel_rpm": 0.0,
+            "command": spin_radps,
+            "integral": 0.0,
+            "dt": LONGEST_STEP_S,
+            "substep": LONGEST_STEP_S,
+            "substeps": 0,
+            "moves": False,
+        },
+    )
 
 
 def _drive_record(config: VehicleConfig) -> Record:

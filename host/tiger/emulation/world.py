@@ -26,10 +26,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tiger.config.vehicle import VehicleConfig
+from tiger.config.vehicle import RateActuatorConfig, VehicleConfig
 from tiger.emulation.body import make_body
 from tiger.emulation.scenarios import PlateAxis, Scenario
-from tiger.models.eam import Eam, MechanismError
+from tiger.models.eam import Eam, LiftCurve, MechanismError
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
 from tiger.models.sensors.gear import QuadratureGear
 from tiger.models.sensors.imu import BNO055, Imu, ImuReading, ImuSpec, TriadSpec
@@ -89,13 +89,6 @@ class World:
         self.vehicle, self.scenario = vehicle, scenario
 
         self._actuator = actuator
-        start = scenario.initial_stroke_mm or (actuator.stroke_max_mm / 2.0,) * 4
-        for corner, stroke in zip(("FL", "FR", "RL", "RR"), start, strict=True):
-            if stroke > actuator.stroke_max_mm:
-                raise MechanismError(
-                    f"initial_stroke_mm of {corner} = {stroke:g} is outside 0..{actuator.stroke_max_mm:g}; "
-                    "correct the scenario"
-                )
         parameters = FullCarParameters.from_config(vehicle)
         body_load = parameters.static_tire_load_n() - parameters.wheel_mass_kg() * GRAVITY_MPS2
         self._plate = (PlateAxis(scenario.segments("roll")), PlateAxis(scenario.segments("pitch")))
@@ -116,20 +109,10 @@ class World:
         self._current = MotorCurrent()
         self._random_current = random_current if noisy else None
 
-        curve = eam.curve()
-        self._pieces = curve.pieces  # kept: compiled code points to it
-        native: Any = ffi.new("tiger_world *")
-        self.native = native
+        self._curve = eam.curve()  # kept: compiled code points to its pieces
+        native = self.native = _native_world(actuator, self._curve, body_load)
         """The `tiger_world` of native_robot_api.h that compiled code moves."""
-        native.dt_s = nan  # no step yet
-        native.stroke_max_mm = actuator.stroke_max_mm
-        native.max_rate_mmps = actuator.max_rate_mmps
-        native.max_force_n = actuator.max_force_n
-        native.mid_rise_mm = curve.at(actuator.stroke_max_mm / 2.0)[0]
-        native.preload_n = body_load.tolist()
-        native.curve, native.pieces = ffi.from_buffer("double[]", self._pieces), len(self._pieces)
-        native.pieces_per_mm = curve.pieces_per_mm
-        for wheel, stroke in enumerate(start):
+        for wheel, stroke in enumerate(_first_strokes_mm(scenario, actuator.stroke_max_mm)):
             lib.tiger_world_place(native, wheel, stroke)
         native.accel_mps2 = ffi.from_buffer("double[]", self._imu.accelerometer.state)
         native.gyro_radps = ffi.from_buffer("double[]", self._imu.gyroscope.state)
@@ -308,6 +291,32 @@ class World:
         x = cos(pitch) * ahead - sin(pitch) * up
         z = sin(pitch) * ahead + cos(pitch) * up
         return np.array([x, cos(roll) * left + sin(roll) * z, -sin(roll) * left + cos(roll) * z])
+
+
+def _first_strokes_mm(scenario: Scenario, stroke_max_mm: float) -> Four:
+    """Where the actuators begin: as the scenario says, else in the middle."""
+    start = scenario.initial_stroke_mm or (stroke_max_mm / 2.0,) * 4
+    for corner, stroke in zip(("FL", "FR", "RL", "RR"), start, strict=True):
+        if stroke > stroke_max_mm:
+            raise MechanismError(
+                f"initial_stroke_mm of {corner} = {stroke:g} is outside 0..{stroke_max_mm:g}; "
+                "correct the scenario"
+            )
+    return start
+
+
+def _native_world(actuator: RateActuatorConfig, curve: LiftCurve, body_load_n: Array) -> Any:
+    """Make a `tiger_world` before its first step; it points into `curve`."""
+    native: Any = ffi.new("tiger_world *")
+    native.dt_s = nan  # no step yet
+    native.stroke_max_mm = actuator.stroke_max_mm
+    native.max_rate_mmps = actuator.max_rate_mmps
+    native.max_force_n = actuator.max_force_n
+    native.mid_rise_mm = curve.at(actuator.stroke_max_mm / 2.0)[0]
+    native.preload_n = body_load_n.tolist()
+    native.curve, native.pieces = ffi.from_buffer("double[]", curve.pieces), len(curve.pieces)
+    native.pieces_per_mm = curve.pieces_per_mm
+    return native
 
 
 def _lag_gain(dt_s: float, lag_s: float) -> float:
