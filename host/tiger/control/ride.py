@@ -208,9 +208,28 @@ def ride_model(
     regulated = car.select(inputs=(*ROAD, *FORCE), outputs=REGULATED)
     leads, delays = _delays(preview_s, lane_lag_s, period_s)
     late = [wheel for wheel in range(4) if wheel not in leads]
-    track, drive = prior.dynamics()
+    a, from_late, noise, height = _car_on_roads(car, prior, leads, late)
+    size = len(a)
+    forces = np.vstack([imu.b, np.zeros((size - CAR_STATES, 4))])
+    transition, constant, ramp = hold(a, np.hstack([forces, from_late]), period_s)
+    shift, now, then = _tapped(height, size, delays, late, period_s)
+    shift[:size, :size] = transition
+    shift[:size] += (constant[:, 4:] - ramp[:, 4:]) @ now[late] + ramp[:, 4:] @ then[late]
+    remembered = len(shift) - size
+    b = np.vstack([constant[:, :4], np.zeros((remembered, 4))])
+    process = block_diag(_sampled_noise(a, noise @ noise.T, period_s), np.zeros((remembered, remembered)))
+    return _assemble(shift, b, imu, regulated, now, process, period_s)
 
-    # Car and shaping filters as one continuous system, so that the road is exact between the samples.
+
+def _car_on_roads(
+    car: LinearModel, prior: RoadPrior, leads: list[int], late: list[int]
+) -> tuple[Array, Array, Array, NDArray[np.intp]]:
+    """Join car and shaping filters to one continuous system: the road is then exact between the samples.
+
+    Returns its matrix (n, n), what the heights under the late wheels do to it (n, late), the factor of its
+    noise (n, leads), and the places of the leading wheels' heights among its states (leads,).
+    """
+    track, drive = prior.dynamics()
     order, sources = len(track), len(leads)
     size = CAR_STATES + order * sources
     height = np.arange(CAR_STATES, size, order)
@@ -222,18 +241,24 @@ def ride_model(
     together = np.kron(_joint_noise(prior.axle_correlation), _joint_noise(prior.lane_correlation))
     covariance = (together @ together.T)[np.ix_(leads, leads)]
     noise[CAR_STATES:] = np.kron(np.linalg.cholesky(covariance), drive[:, None])
-    held = np.zeros((size, 4 + len(late)))
-    held[:CAR_STATES, :4] = imu.b
-    held[:CAR_STATES, 4:] = to_wheels[:, late]
-    transition, constant, ramp = hold(a, held, period_s)
-    process = _sampled_noise(a, noise @ noise.T, period_s)
+    from_late = np.zeros((size, len(late)))
+    from_late[:CAR_STATES] = to_wheels[:, late]
+    return a, from_late, noise, height
 
-    # Tap j of a source holds its height j samples ago; a late wheel lies between two taps.
+
+def _tapped(
+    height: NDArray[np.intp], size: int, delays: list[tuple[int, float]], late: list[int], period_s: float
+) -> tuple[Array, Array, Array]:
+    """Remember the heights that late wheels will meet: tap j of a source holds its height j samples ago.
+
+    Returns the shift of the taps (n, n), where n counts `size` states and the taps after them, and the
+    heights under the wheels, (4, n) each, now and a sample later. A late wheel lies between two taps.
+    """
     depth = int(max(delay for _, delay in delays) / period_s)
     taps = depth + 1 if late else 0
-    total = size + sources * taps
+    total = size + len(height) * taps
     shift, now, then = np.zeros((total, total)), np.zeros((4, total)), np.zeros((4, total))
-    lines = [np.r_[height[i], size + i * taps + np.arange(taps)] for i in range(sources)]
+    lines = [np.r_[first, size + i * taps + np.arange(taps)] for i, first in enumerate(height)]
     for line in lines:
         shift[line[1:], line[:-1]] = 1.0
     for wheel, (source, delay) in enumerate(delays):
@@ -244,11 +269,7 @@ def ride_model(
             then[wheel, line[tap - 1 : tap + 1]] = 1 - part, part
         else:
             now[wheel, line[0]] = 1.0
-    shift[:size, :size] = transition
-    shift[:size] += (constant[:, 4:] - ramp[:, 4:]) @ now[late] + ramp[:, 4:] @ then[late]
-    rest = np.zeros((sources * taps, sources * taps))
-    b = np.vstack([constant[:, :4], np.zeros((len(rest), 4))])
-    return _assemble(shift, b, imu, regulated, now, block_diag(process, rest), period_s)
+    return shift, now, then
 
 
 def _delays(

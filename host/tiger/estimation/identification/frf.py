@@ -42,10 +42,6 @@ class FrfData:
         """Return 1 / standard deviation, zero for unexcited paths, (k, outputs, inputs)."""
         return np.asarray(1 / np.sqrt(self.variance))
 
-    def interval_95(self) -> Array:
-        """Return the half-width of the 95 % interval of real and imaginary part of every response."""
-        return np.asarray(1.959964 * np.sqrt(self.variance / 2))
-
 
 def noise_at_rest(imu: Array) -> tuple[Array, Array]:
     """Return bias and standard deviation of each output from a record at rest (samples, outputs), section

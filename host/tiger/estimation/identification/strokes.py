@@ -16,6 +16,8 @@ from scipy import signal
 from tiger.models.full_car import CORNERS
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     Array = NDArray[np.floating[Any]]
@@ -25,6 +27,9 @@ MOST_HZ = 1.0
 LEAST_COHERENCE = 0.6
 LEAST_STROKE_MM = 0.3
 SEGMENTS = 6
+LEAST_SEGMENT_S = 2.0
+TANGLED_CONDITION = 1e4
+"""Of the strokes' spectral matrix: beyond it they moved together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,32 +53,53 @@ def identify(stroke_mm: Array, imu: Array, outputs: tuple[str, ...], sample_s: f
 
     Raises ValueError for a record too short for the averaging, or where no stroke moved.
     """
+    segment = _segment(stroke_mm, imu, outputs, sample_s)
+    on = np.flatnonzero(stroke_mm.std(axis=0) > LEAST_STROKE_MM)
+    if not len(on):
+        raise ValueError(f"no stroke moved by more than {LEAST_STROKE_MM} mm: excite the actuators first")
+    spectra = _spectra(np.hstack([stroke_mm[:, on], imu]), segment, sample_s)
+    frequency = np.fft.rfftfreq(segment, sample_s)
+    keep = (frequency > 0) & (frequency <= MOST_HZ)
+    frequency, spectra = frequency[keep], spectra[keep]
+    gain, gain_std, coherence = _h1(spectra, len(on))
+    response = np.zeros((len(frequency), len(outputs), 4), dtype=complex)
+    std = np.full(response.shape, np.inf)
+    response[:, :, on], std[:, :, on] = gain, gain_std
+    tangled = np.median(np.linalg.cond(spectra[:, : len(on), : len(on)])) > TANGLED_CONDITION
+    remarks = (
+        *(
+            f"stroke {CORNERS[i]} moved by less than {LEAST_STROKE_MM} mm: not identified"
+            for i in range(4)
+            if i not in on
+        ),
+        "road and force inputs: not excited, the robot has no shaker and no force actuator",
+        *(["the strokes moved together: move them one at a time to tell them apart"] if tangled else []),
+        *_weak_lines(frequency, coherence, outputs),
+        f"above {MOST_HZ:g} Hz: not identified, the actuators are too slow to excite it",
+    )
+    return StrokeResponse(frequency, response, std, coherence, remarks)
+
+
+def _segment(stroke_mm: Array, imu: Array, outputs: tuple[str, ...], sample_s: float) -> int:
+    """Return the samples of one average, half overlapping; raises ValueError where the record is no good."""
     if stroke_mm.shape[1] != 4 or imu.shape != (len(stroke_mm), len(outputs)):
         raise ValueError(
             f"strokes {stroke_mm.shape} and IMU {imu.shape} do not fit 4 strokes and {len(outputs)} outputs"
         )
     segment = 2 * len(stroke_mm) // (SEGMENTS + 1)
-    if segment * sample_s < 2.0:
+    if segment * sample_s < LEAST_SEGMENT_S:
         raise ValueError(
             f"a record of {len(stroke_mm) * sample_s:.1f} s is too short for {SEGMENTS} averages: "
             "record 30 s at least"
         )
-    moved = stroke_mm.std(axis=0) > LEAST_STROKE_MM
-    if not moved.any():
-        raise ValueError(f"no stroke moved by more than {LEAST_STROKE_MM} mm: excite the actuators first")
-    on = np.flatnonzero(moved)
-    remarks = [
-        f"stroke {CORNERS[i]} moved by less than {LEAST_STROKE_MM} mm: not identified"
-        for i in range(4)
-        if not moved[i]
-    ]
-    remarks.append("road and force inputs: not excited, the robot has no shaker and no force actuator")
+    return segment
 
-    spectra = _spectra(np.hstack([stroke_mm[:, on], imu]), segment, sample_s)
-    frequency = np.fft.rfftfreq(segment, sample_s)
-    keep = (frequency > 0) & (frequency <= MOST_HZ)
-    frequency, spectra = frequency[keep], spectra[keep]
-    inputs = len(on)
+
+def _h1(spectra: ComplexArray, inputs: int) -> tuple[ComplexArray, Array, Array]:
+    """Return gain and its standard deviation, (k, outputs, inputs), and multiple coherence, (k, outputs).
+
+    `spectra` (k, channels, channels) has the inputs' channels first.
+    """
     s_uu, s_uy = spectra[:, :inputs, :inputs], spectra[:, :inputs, inputs:]
     s_yy = np.real(np.diagonal(spectra[:, inputs:, inputs:], axis1=1, axis2=2))
     ridge = 1e-9 * np.trace(s_uu, axis1=1, axis2=2).real[:, None, None] * np.eye(inputs)
@@ -82,22 +108,18 @@ def identify(stroke_mm: Array, imu: Array, outputs: tuple[str, ...], sample_s: f
     coherence = np.clip(explained / s_yy, 0.0, 1.0)
     noise = np.maximum(s_yy - explained, 0.0) / max(SEGMENTS - inputs, 1)
     spread = np.real(np.diagonal(np.linalg.inv(s_uu + ridge), axis1=1, axis2=2))
-    response = np.zeros((len(frequency), imu.shape[1], 4), dtype=complex)
-    std = np.full(response.shape, np.inf)
-    response[:, :, on] = np.swapaxes(gain, 1, 2)
-    std[:, :, on] = np.sqrt(noise[:, :, None] * spread[:, None, :])
-    condition = np.linalg.cond(s_uu)
-    if np.median(condition) > 1e4:
-        remarks.append("the strokes moved together: move them one at a time to tell them apart")
-    for i, name in enumerate(outputs):
-        weak = frequency[coherence[:, i] < LEAST_COHERENCE]
+    return np.swapaxes(gain, 1, 2), np.sqrt(noise[:, :, None] * spread[:, None, :]), coherence
+
+
+def _weak_lines(frequency: Array, coherence: Array, outputs: tuple[str, ...]) -> Iterator[str]:
+    """Say where an output does not follow the strokes."""
+    for name, of_output in zip(outputs, coherence.T, strict=True):
+        weak = frequency[of_output < LEAST_COHERENCE]
         if len(weak):
-            remarks.append(
+            yield (
                 f"{name}: {len(weak)} of {len(frequency)} lines have a coherence below {LEAST_COHERENCE}, "
                 f"from {weak[0]:.2f} to {weak[-1]:.2f} Hz"
             )
-    remarks.append(f"above {MOST_HZ:g} Hz: not identified, the actuators are too slow to excite it")
-    return StrokeResponse(frequency, response, std, coherence, tuple(remarks))
 
 
 def _spectra(records: Array, segment: int, sample_s: float) -> ComplexArray:
