@@ -22,7 +22,7 @@ from tiger.control import traction
 from tiger.emulation.scenarios import load_scenario
 from tiger.record import STILL, Command, DaemonState, Mode
 from tiger.rig.virtual import Rig
-from tiger.studies.figures import gridded, new_figure, save
+from tiger.studies.figures import gridded, legend_above, new_figure, save
 from tiger.studies.report import CORNERS, Report, Row, unwatched
 
 if TYPE_CHECKING:
@@ -397,7 +397,7 @@ def _curves(series: Mapping[str, Array], name: str, title: str, path: Path) -> P
             axes.set_ylabel(label)
             axes.set_ylim(bottom=0.0)
         panels[0].set_ylim(0.0, 105.0)
-        panels[0].legend(loc="upper right", ncols=4)
+        legend_above(panels[0])
         panels[3].plot(time_s, series[f"{name}_position_m"][:, 0], color="0.3", lw=1.2)
         panels[3].axhline(TOP_M, color="0.6", ls="--", lw=1.0)
         panels[3].set_ylim(-1.5, 7.0)

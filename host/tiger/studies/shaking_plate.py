@@ -20,7 +20,7 @@ from tiger.control.rhythm import Rhythm, followable
 from tiger.emulation.scenarios import PlateSegment, Scenario
 from tiger.record import DaemonState
 from tiger.rig.virtual import Rig
-from tiger.studies.figures import gridded, new_figure, save
+from tiger.studies.figures import gridded, legend_above, new_figure, save
 from tiger.studies.report import CORNERS, Report, Row, unwatched
 
 if TYPE_CHECKING:
@@ -241,7 +241,7 @@ def _draw(series: Mapping[str, Array], plate: str, title: str, path: Path) -> Pa
         rates.set_ylabel("stroke rate (mm/s)")
         attitude.set_ylabel("attitude (degrees)")
         attitude.set_xlabel("time (s)")
-        strokes.legend(loc="upper right", ncols=4)
-        attitude.legend(loc="upper right", ncols=3)
+        legend_above(strokes)
+        legend_above(attitude)
         figure.suptitle(title)
         return save(figure, path)
