@@ -17,16 +17,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiger.config.vehicle import load_vehicle
 from tiger.control import ride
 from tiger.control.margins import closed_loop
 from tiger.control.ride import ImuNoise, RideWeights, RoadPrior
 from tiger.control.ride_bank import oblique
 from tiger.control.ride_designs import RideTuning
-from tiger.models.full_car import FullCarParameters
-from tiger.models.road import Bump, iso_road, wheel_heights_m
 from tiger.studies import ride_cases
-from tiger.studies.performance import fine_time_s, performance_index, simulate
+from tiger.studies.performance import PEAK_SUSPENSION, RMS_BODY, RMS_TIRE_LOAD, simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,15 +35,16 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-CAR = FullCarParameters.from_config(load_vehicle("table-6-1"))
-PRINTED_ACTIVE_BUMPY = np.array(
-    [0.662, 0.302, 0.215, 0.107, 0.089, 0.043, 0.067, 0.021, 0.029, 0.042, 0.802, 0.747, 0.854, 0.865]
-)
+CASE = ride_cases.load_case("table-6-1")
+CAR = CASE.car
+PRINTED_ACTIVE_BUMPY = np.array(ride_cases.PRINTED["bumpy active"])
 START = np.log([1.33, 5.02, 0.77, 0.89, 0.04, 7.95, 2.95, 2.21, 8.73, 3.2e-10, 0.1, 0.0046, 2.54, 0.5])
 START_ISO = np.log([1.0, 1.0, 1.0, 1.0, 1.0, 100.0, 100.0, 2000.0, 2000.0, 1e-9, 0.0225, 0.02, 100.0, 0.05])
 EXTRA = {"robust": [10.0, 3.0], "bumpy-plain-x1": [1.0, 1.0], "bumpy-oblique-x1": [1.0, 1.0, 0.3]}
 """Where the optional parameters of `tuning_of` start."""
 SEED = 1000
+MU_GOAL = 0.9
+"""Of the rattle space that may be used."""
 
 
 def tuning_of(parameters: Array) -> RideTuning:
@@ -77,7 +75,7 @@ class Bumpy:
 
     def __post_init__(self) -> None:
         self.noise = ImuNoise().scaled(self.factor)
-        self.road = wheel_heights_m(Bump(), fine_time_s(4.13), 20.0, (0, 0.049, 0.102, 0.151))
+        self.road = ride_cases.bumpy_road()
 
     def __call__(self, x: Array) -> float:
         tuning = tuning_of(x)
@@ -87,7 +85,7 @@ class Bumpy:
             else tuning.controller(CAR, self.noise, self.preview_s)
         )
         run = simulate(CAR, self.road, controller, self.noise, tuple(range(SEED, SEED + self.seeds)))
-        ratio = performance_index(CAR, 0.08, run) / PRINTED_ACTIVE_BUMPY
+        ratio = CASE.index(run) / PRINTED_ACTIVE_BUMPY
         if self.judge_mean:
             ratio = ratio.mean(axis=0, keepdims=True)
         return float(np.log(np.sum(ratio**self.power) / len(ratio)) / self.power)
@@ -105,23 +103,19 @@ class Iso:
 
     def __post_init__(self) -> None:
         self.noise = ImuNoise()
-        time_s = fine_time_s(8.0)
-        roads = [
-            wheel_heights_m(iso_road("C", SEED + i), time_s, 10.0, (0, 0, 0.268, 0.268))
-            for i in range(self.roads)
-        ]
-        self.road = np.stack(roads)
         self.run_seeds = tuple(range(SEED, SEED + self.roads))
-        self.passive = performance_index(CAR, 0.08, simulate(CAR, self.road, seeds=self.run_seeds))
+        self.road = ride_cases.iso_roads(CAR, self.run_seeds)
+        self.passive = CASE.index(simulate(CAR, self.road, seeds=self.run_seeds))
 
     def __call__(self, x: Array) -> float:
         controller = tuning_of(x).controller(CAR, self.noise, self.preview_s, delay_samples=self.delay)
         run = simulate(
             CAR, self.road, controller, self.noise, self.run_seeds, delay_s=self.delay * ride.PERIOD_S
         )
-        index = performance_index(CAR, 0.08, run)
-        ratio = (index / self.passive).mean(0)[[1, 3, 5, 6, 7, 8, 9]] / self.goals
-        mu = index[:, 10:].max() / 0.9
+        index = CASE.index(run)
+        left = (index / self.passive).mean(axis=0)
+        ratio = np.r_[left[RMS_BODY], left[RMS_TIRE_LOAD]] / self.goals
+        mu = index[:, PEAK_SUSPENSION].max() / MU_GOAL
         rows = np.append(ratio, mu)
         return float(np.log(np.sum(rows**self.power)) / self.power)
 
@@ -147,14 +141,14 @@ class Robust(Iso):
 
 
 GOALS: dict[str, Callable[[], Bumpy | Iso]] = {
-    "bumpy-preview-x0.03": lambda: Bumpy(0.03, 0.102, seeds=60),
-    "bumpy-preview-x0.1": lambda: Bumpy(0.1, 0.102, seeds=40, judge_mean=True),
+    "bumpy-preview-x0.03": lambda: Bumpy(0.03, ride_cases.BUMPY_PREVIEW_S, seeds=60),
+    "bumpy-preview-x0.1": lambda: Bumpy(0.1, ride_cases.BUMPY_PREVIEW_S, seeds=40, judge_mean=True),
     "bumpy-plain-x1": lambda: Bumpy(1.0, None, seeds=6, judge_mean=True),
     "bumpy-oblique-x1": lambda: Bumpy(1.0, None, seeds=12, judge_mean=True, oblique=True),
-    "iso-preview": lambda: Iso(np.array([0.375, 0.33, 0.365, 0.97, 0.97, 1.31, 1.31]), 0.268),
+    "iso-preview": lambda: Iso(np.array([0.375, 0.33, 0.365, 0.97, 0.97, 1.31, 1.31]), CASE.iso_preview_s),
     "iso-plain": lambda: Iso(np.array([0.375, 0.33, 0.365, 0.97, 0.97, 1.31, 1.31]), None),
     "holding-plain": lambda: Iso(np.array([0.51, 0.45, 0.56, 0.99, 0.99, 0.99, 0.99]), None),
-    "holding-preview": lambda: Iso(np.array([0.45, 0.38, 0.48, 1.0, 1.0, 0.75, 0.75]), 0.268),
+    "holding-preview": lambda: Iso(np.array([0.45, 0.38, 0.48, 1.0, 1.0, 0.75, 0.75]), CASE.iso_preview_s),
     "robust": lambda: Robust(np.array([0.55, 0.5, 0.6, 1.0, 1.0, 1.0, 1.0]), None, delay=1, roads=3),
 }
 
@@ -187,18 +181,8 @@ def minimise(goal: Callable[[Array], float], start: Array, step: float, minutes:
         order = np.argsort(costs)
         if costs[order[0]] < best_cost:
             best, best_cost = mean + step * steps[order[0]], costs[order[0]]
-            print(
-                json.dumps(
-                    {
-                        "name": name,
-                        "cost": best_cost,
-                        "gen": generation,
-                        "step": step,
-                        "parameters": best.tolist(),
-                    }
-                ),
-                flush=True,
-            )
+            found = {"name": name, "cost": best_cost, "gen": generation, "step": step}
+            print(json.dumps(found | {"parameters": best.tolist()}), flush=True)
         move = weight @ steps[order[:parents]]
         mean = mean + step * move
         whitened = vectors @ ((vectors.T @ move) / scale)
