@@ -28,7 +28,7 @@ from tiger.control import traction
 from tiger.control.reachable import WARP, Suspension
 from tiger.estimation import ground_track
 from tiger.estimation.ground_track import TrackDesign, TrackState
-from tiger.frozen import dataclass
+from tiger.frozen import dataclass, replace
 from tiger.models.full_car import GRAVITY_MPS2, FullCarParameters
 from tiger.record import Mode
 
@@ -209,23 +209,36 @@ def step(
     strokes = inputs.strokes
     if strokes is None or not estimate.ready:
         return state, state.contact
-    track, now_s, travelled_m = state.track, inputs.now_s, estimate.odometry.distance_m
-    elapsed_s, config = now_s - state.at_s, design.config
+    track, config = state.track, design.config
     period_s = config.period_s if inputs.command.mode is Mode.BALANCE else config.idle_period_s
-    due = elapsed_s > period_s - 0.5 * dt
-    if travelled_m - track.travelled_m >= design.track.step_m:
+    due = inputs.now_s - state.at_s > period_s - 0.5 * dt
+    if estimate.odometry.distance_m - track.travelled_m >= design.track.step_m:
         track = ground_track.step(design.track, track, estimate)
     elif not due:
         return state, state.contact
     if not due:
-        last = state.contact, state.twist_mm, state.posed_rad, state.travelled_m, state.carried, state.at_s
-        return ContactState(state.belief, track, *last), state.contact
+        return replace(state, track=track), state.contact
+    state = _updated(design, state, track, inputs, strokes.stroke_mm, estimate, loads)
+    return state, state.contact
+
+
+def _updated(
+    design: ContactDesign,
+    state: ContactState,
+    track: TrackState,
+    inputs: Inputs,
+    stroke_mm: Four,
+    estimate: Estimate,
+    loads: Loads,
+) -> ContactState:
+    """Compare the attitude with what each candidate foretells, and say where the wheels stand."""
     at = design.suspension.curve.at
-    fl, fr, rl, rr = strokes.stroke_mm
+    fl, fr, rl, rr = stroke_mm
     pose = design.suspension.pose((at(fl)[0], at(fr)[0], at(rl)[0], at(rr)[0]))
     posed_rad, attitude_rad = (pose.roll_rad, pose.pitch_rad), (estimate.roll_rad, estimate.pitch_rad)
     first = state.belief.variance_rad2 == 0.0
     creeps = abs(estimate.odometry.speed_mps) < _CREEP_MPS
+    travelled_m = estimate.odometry.distance_m
     driven_m = 0.0 if creeps else travelled_m - state.travelled_m
     carried = state.carried
     if first or driven_m > 0.0:
@@ -247,11 +260,12 @@ def step(
             abs(posed_rad[1] - state.posed_rad[1]),
             design.pitch_per_mm * twisted_mm,
         )
-        belief = _compared(design, belief, slope_rad, moved_rad, moved_rad / elapsed_s, driven_m)
+        rate_radps = moved_rad / (inputs.now_s - state.at_s)
+        belief = _compared(design, belief, slope_rad, moved_rad, rate_radps, driven_m)
         if twisted_mm > _STILL_MM:
             belief = _tipped(belief, pose.warp_mm, lift_off_mm)
     contact = _found(design, belief.probability, pose.warp_mm, lift_off_mm)
-    return ContactState(belief, track, contact, pose.warp_mm, posed_rad, travelled_m, carried, now_s), contact
+    return ContactState(belief, track, contact, pose.warp_mm, posed_rad, travelled_m, carried, inputs.now_s)
 
 
 # ---- what lifts a wheel off -----------------------------------
