@@ -157,6 +157,24 @@ def test_wheels_that_agree_are_never_called_swapped(side: Side) -> None:
         assert not side.flag(WheelFlag.SWAPPED, 0)
 
 
+def test_wheels_below_a_crawl_tell_nothing_of_swapped_signals(side: Side) -> None:
+    for front, rear in ((1.0, -0.1), (-0.1, 1.0)):  # a crawl is 1 rad/s, 0.16 turns a second
+        side.run(3000, front, rear)
+        assert not side.flag(WheelFlag.SWAPPED, 0)
+        assert not side.flag(WheelFlag.SWAPPED, 1)
+    side.run(500, 1.0, -0.3)
+    assert side.flag(WheelFlag.SWAPPED, 0)
+
+
+def test_each_wheel_s_newest_edge_grows_old_while_it_stands(side: Side) -> None:
+    side.run(500, 1.0)
+    assert max(side.last(WheelSpeed).edge_age_ms) <= 5  # 240 edges a second
+    side.run(150, 0.0, 1.0)
+    front, rear = side.last(WheelSpeed).edge_age_ms
+    assert 140 <= front <= 160
+    assert rear <= 5
+
+
 def test_skipped_states_latch_a_fault_with_the_wheel_named(side: Side) -> None:
     for _ in range(5):
         side.board.interrupt(1, 3)

@@ -64,6 +64,28 @@ def test_the_nearest_attitude_is_reachable_and_no_other_is_nearer(roll: float, p
             assert inside or distance <= math.dist(edge, (roll, pitch)) + 1e-9
 
 
+@settings(deadline=None)
+@given(roll=angle, pitch=angle, warp=st.floats(-60.0, 60.0))
+def test_a_twist_leaves_each_side_and_axle_its_share_of_the_lift(
+    roll: float, pitch: float, warp: float
+) -> None:
+    span = SUSPENSION.lift_high_mm - SUSPENSION.lift_low_mm
+    half_along = 0.5 * (SUSPENSION.x_mm[0] - SUSPENSION.x_mm[2])
+
+    def fits(roll: float, pitch: float) -> bool:
+        lifts = SUSPENSION.lifts_mm(Pose(roll, pitch, 0.0, warp))
+        return max(lifts) - min(lifts) <= span + 1e-6
+
+    near_roll, near_pitch = SUSPENSION.nearest(roll, pitch, warp)
+    assert fits(near_roll, near_pitch)
+    if fits(roll, pitch):
+        assert (near_roll, near_pitch) == pytest.approx((roll, pitch))
+    for alone, reach in (((roll, 0.0), SUSPENSION.y_mm[0]), ((0.0, pitch), half_along)):
+        most = max(0.0, 0.5 * span - abs(warp)) / reach
+        nearest = SUSPENSION.nearest(*alone, warp)
+        assert sum(nearest) == pytest.approx(min(most, max(-most, sum(alone))))
+
+
 def test_roll_and_pitch_share_the_stroke() -> None:
     roll, pitch = SUSPENSION.limits()
     assert math.degrees(roll) == pytest.approx(6.34, abs=0.02)

@@ -124,6 +124,16 @@ def test_an_imu_high_above_the_com_is_brought_down_to_it() -> None:
     assert spinning == pytest.approx((0.0, 0.0, G))
 
 
+_VECTOR = st.tuples(*[st.floats(-5.0, 5.0)] * 3)
+
+
+@given(place=_VECTOR, force=_VECTOR, rate=_VECTOR, turn=_VECTOR)
+def test_a_force_is_brought_to_the_com_as_a_rigid_body_carries_it(place, force, rate, turn) -> None:
+    felt = tip_over.at_com(replace(RIGID, imu_m=place), force, rate, turn)
+    expected = np.array(force) - np.cross(turn, place) - np.cross(rate, np.cross(rate, place))
+    assert felt == pytest.approx(expected.tolist(), abs=1e-9)
+
+
 @pytest.mark.parametrize(
     ("upright", "push", "rate"),
     [(0.8, 0.0, 5.0), (0.5, 0.6, 0.0), (0.5, 0.5, 0.4), (0.3, 0.1, 2.0), (0.9, 1.2, -0.3)],
@@ -166,3 +176,13 @@ def test_springs_lean_outward_in_a_turn_and_nose_down_when_braking() -> None:
     most, _ = tip_over.spring_lean(soft, (0.0, 50.0, G), STILL)
     assert most == pytest.approx(0.02 * 0.6 * G / 0.5)  # all weight on one side
     assert LEFT == 0
+
+
+def test_a_robot_that_fades_towards_its_balance_gets_there_only_if_that_lies_beyond_the_edge() -> None:
+    """At the rate at which nothing grows any more: psi = psi_a + (psi - psi_a) exp(-w t)."""
+    lever, gyration, upright = 0.7, 0.2, 0.5
+    speed = math.sqrt(G * lever / (lever**2 + gyration))
+    beyond, before = 2.0 * upright, 0.5 * upright
+    time_s = tip_over.time_to_balance(lever, gyration, upright, beyond, beyond * speed)
+    assert time_s == pytest.approx(math.log(2.0) / speed)
+    assert tip_over.time_to_balance(lever, gyration, upright, before, before * speed) == math.inf

@@ -17,7 +17,7 @@ from tiger.daemon.rest_calibration import (
     RestCalibration,
     bias_messages,
 )
-from tiger.devices.roboteq import FaultFlag, MotorFlag, Roboteq
+from tiger.devices.roboteq import REMEDY, FaultFlag, MotorFlag, Roboteq
 from tiger.protocol.link import Session
 from tiger.protocol.messages import (
     FAULT_INFO,
@@ -183,6 +183,14 @@ def test_a_roboteqs_faults_are_named_and_its_emergency_stop_is_none() -> None:
     drive.flags |= {"FF": FaultFlag.SHORT_CIRCUIT | 1 << 9, "FM2": MotorFlag.STALLED.value}
     texts = [problem.text for problem in limits.drive_faults(drive)]
     assert texts == ["short circuit", "bit 9", "rear motor: stalled"]
+
+
+@pytest.mark.parametrize("flag", [flag for flag in FaultFlag if flag is not FaultFlag.EMERGENCY_STOP])
+def test_each_fault_of_a_roboteq_comes_with_its_remedy(flag: FaultFlag) -> None:
+    drive = Roboteq("roboteq (left)", "/dev/left", 150, 50.0, 20.0)
+    drive.flags |= {"FF": flag.value}
+    (problem,) = limits.drive_faults(drive)
+    assert problem.next_step == REMEDY.get(flag, "Look it up in the controller's manual.")
 
 
 @pytest.mark.parametrize(

@@ -159,3 +159,24 @@ def test_wheels_that_take_off_are_reckoned_with_where_they_do() -> None:
     variation = (flying * 1000.0) ** 0.5
     swing = 1.0 + config.flight_gain * (variation - config.flight_from)
     assert flying * swing == pytest.approx(1e-2, rel=1e-2)
+
+
+@pytest.mark.parametrize("payload_kg", [0.0, 3.0, 10.0, 17.5, 20.0])
+@pytest.mark.parametrize("speed_mps", [1.0, 1.3, 2.5, 3.0])
+def test_between_the_rows_and_columns_of_its_table_it_interpolates(
+    payload_kg: float, speed_mps: float
+) -> None:
+    speeds = roughness._SPEED_STEP_MPS * np.arange(1, 20)
+    payloads = roughness._PAYLOAD_STEP_KG * np.arange(8)
+    table = tuple(tuple((3.0 * kg + 5.0 * speeds + 2.0 * kg * speeds).tolist()) for kg in payloads)
+    exact = 3.0 * payload_kg + 5.0 * speed_mps + 2.0 * payload_kg * speed_mps
+    assert roughness._looked_up(table, speed_mps, payload_kg) == pytest.approx(exact)
+    assert roughness._looked_up(table, 1e3, -5.0) == table[0][-1]
+
+
+def test_the_first_sample_tells_of_no_ground() -> None:
+    estimate = Estimate(ready=True, odometry=Odometry(speed_mps=2.0))
+    first, _ = step(DESIGN, RoughnessState(), sample(1.0, 0.5), estimate, 0.005)
+    assert (first.distance_m, first.measured, first.expected) == (0.0, 0.0, 0.0)
+    second, _ = step(DESIGN, first, sample(1.01, 0.5), estimate, 0.005)
+    assert second.distance_m == pytest.approx(0.02)

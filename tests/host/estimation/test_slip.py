@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -177,3 +178,38 @@ def test_an_axle_that_scrubs_its_own_way_in_a_turn_is_believed(scrub: float, bel
         *(True, True),
         *(believed, believed),
     )
+
+
+@given(
+    surface=st.tuples(*[st.floats(-2.0, 2.0)] * 4),
+    speed=st.floats(-2.0, 2.0),
+    yaw_rate=st.floats(-0.6, 0.6),
+    parted=st.booleans(),
+)
+def test_backwards_it_judges_as_forwards(surface: Four, speed: float, yaw_rate: float, parted: bool) -> None:
+    def judged(sign: float) -> SlipState:
+        state = SlipState(parted=parted)
+        a, b, c, d = (sign * each for each in surface)
+        for _ in range(10):
+            wheels = slip.told((a, b, c, d), TRACK, 0.0, sign * yaw_rate, state.scrub)
+            state = slip.step(CONFIG, state, wheels, ALL, sign * speed, 0.01, sign * yaw_rate, DT)
+        return state
+
+    ahead, back = judged(1.0), judged(-1.0)
+    assert (ahead.slipping, ahead.parted) == (back.slipping, back.parted)
+    assert ahead.scrub == pytest.approx(back.scrub)
+    assert ahead.ratio == pytest.approx([-ratio for ratio in back.ratio])
+
+
+@given(st.floats(0.0, 3.0), st.floats(0.0, 0.6), st.floats(0.01, 1.0))
+def test_the_faster_it_drives_or_turns_the_farther_off_a_mean_is_still_plausible(
+    speed: float, yaw_rate: float, more: float
+) -> None:
+    def farthest(speed: float, yaw_rate: float) -> float:
+        off = np.arange(0.0, 1.0, 1e-3)
+        return max(x for x in off if slip.plausible(CONFIG, SlipState(), speed + x, speed, 0.01, yaw_rate))
+
+    here = farthest(speed, yaw_rate)
+    for faster in ((speed + more, yaw_rate), (speed, yaw_rate + more)):
+        assert farthest(*faster) >= here
+    assert farthest(-speed, -yaw_rate) == pytest.approx(here, abs=2e-3)
