@@ -130,6 +130,8 @@ def mode(
     as_json: Json = False,
 ) -> None:
     """Change what the suspension does."""
+    if name not in [*Mode]:
+        _fail(f"{name}: is no mode; choose one of {', '.join(Mode)}")
     _ask("mode", as_json, mode=name)
 
 

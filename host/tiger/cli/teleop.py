@@ -13,6 +13,7 @@ import fcntl
 import math
 import os
 import select
+import stat
 import struct
 import sys
 import termios
@@ -21,7 +22,7 @@ import tty
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, Protocol
 
 import typer
 
@@ -155,6 +156,7 @@ EVIOCGABS = 0x80184540  # + axis: its struct input_absinfo of six ints: value, m
 FULL = (-32768, 32767)  # range of a stick that does not tell
 DEAD_ZONE = 0.08
 WHERE = "/dev/input/by-id/*-event-joystick"
+INPUT = 13  # major number of /dev/input
 PAD_HELP = """hold {deadman} to move: left stick speed, right stick direction
 D-pad up, down: speed level   start: arm   select (back): disarm
 B: emergency stop   Ctrl-C quits"""
@@ -249,12 +251,32 @@ class GamepadDevice(Gamepad):
 def _find_gamepad(path: str) -> Path:
     """Return the device that is meant; `auto` is the first one. Ends the program when there is none."""
     if path != "auto":
+        _refuse_unusable(Path(path))
         return Path(path)
     found = sorted(Path("/").glob(WHERE[1:]))
     if not found:
-        typer.echo(f"no gamepad matches {WHERE}; connect it, or name its /dev/input/event*", err=True)
-        raise typer.Exit(2)
+        _fail(f"no gamepad matches {WHERE}; connect it, or name its /dev/input/event*")
     return found[0]
+
+
+def _refuse_unusable(path: Path) -> None:
+    """End the program when hands cannot be read there; better before the robot is asked for."""
+    try:
+        device = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except OSError as error:
+        if str(path) == Keyboard.path:
+            _fail("there is no terminal to read keys from; run it in one, or drive with --gamepad")
+        permit = "; join the group input" if isinstance(error, PermissionError) else ""
+        _fail(f"{path}: cannot be read ({error.strerror}){permit or '; name its /dev/input/event*'}")
+    kind = os.fstat(device)
+    os.close(device)
+    if str(path) != Keyboard.path and not (stat.S_ISCHR(kind.st_mode) and os.major(kind.st_rdev) == INPUT):
+        _fail(f"{path}: is no gamepad; name its /dev/input/event*, or auto")
+
+
+def _fail(message: str) -> NoReturn:
+    typer.echo(message, err=True)
+    raise typer.Exit(2)
 
 
 # ---- the program --------------------------------------------
@@ -382,14 +404,12 @@ def teleop(
 ) -> None:
     """Drive by hand: the robot moves while a key, or the gamepad's dead-man button, is held."""
     hands: Keyboard | GamepadDevice
+    button, axis = _code(BUTTONS, deadman, "--deadman"), _code(AXES, yaw_axis, "--yaw-axis")
     if gamepad is None:
+        _refuse_unusable(Path(Keyboard.path))
         where, hands, text = "the terminal", Keyboard(level), KEYS_HELP
     else:
-        hands = GamepadDevice(
-            deadman=_code(BUTTONS, deadman, "--deadman"),
-            yaw_axis=_code(AXES, yaw_axis, "--yaw-axis"),
-            level=level,
-        )
+        hands = GamepadDevice(deadman=button, yaw_axis=axis, level=level)
         hands.path, text = _find_gamepad(gamepad), PAD_HELP.format(deadman=deadman)
         where = str(hands.path)
     with connected() as robot:

@@ -76,7 +76,6 @@ def test_modes_poses_and_heights_reach_the_daemon(disarmed: Any) -> None:
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (("mode", "jump"), "Input should be 'hold', 'level', 'balance', 'pose' or 'stow'"),
         (("pose", "--roll", "40"), "roll = 40 is outside -15 to 15 degrees (leveling.max_angle_deg)"),
         (("height", "500"), "ride_stroke_mm = 500 is outside 1.5 to 68.5"),
         (("drive", "--speed", "0.2"), "Arm it first."),
@@ -90,6 +89,12 @@ def test_a_refusal_is_one_line_and_status_1(disarmed: Any, words: tuple[str, ...
     assert reason in result.output
     assert result.output.count("\n") == 1
     assert disarmed.rig.daemon.command == before
+
+
+def test_a_mode_that_does_not_exist_is_answered_with_those_that_do() -> None:
+    result = ctl("mode", "jump")
+    assert result.exit_code == 2
+    assert result.output == "jump: is no mode; choose one of hold, level, balance, pose, stow\n"
 
 
 def test_drive_drives_for_so_long_and_then_stands(disarmed: Any) -> None:

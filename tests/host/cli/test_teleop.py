@@ -6,6 +6,7 @@ import errno
 import math
 import os
 import pty
+import subprocess
 import sys
 import threading
 import time
@@ -351,6 +352,24 @@ def test_a_button_or_stick_that_does_not_exist_is_refused_with_those_that_do(
     done = CliRunner().invoke(app, ["teleop", "--gamepad", "/dev/input/event7", *options])
     assert done.exit_code == 2
     assert "is none of" in done.output
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ([], "there is no terminal to read keys from; run it in one, or drive with --gamepad"),
+        (["--gamepad", "/no/such"], "/no/such: cannot be read (No such file or directory)"),
+        (["--gamepad", "/dev/null"], "/dev/null: is no gamepad; name its /dev/input/event*, or auto"),
+        (["--deadman", "pedal"], "pedal is none of a, b, x"),
+    ],
+)
+def test_hands_that_cannot_be_read_are_refused_before_the_robot_is_asked_for(
+    options: list[str], reason: str
+) -> None:
+    command = [sys.executable, "-m", "tiger.cli.main", "teleop", *options]
+    done = subprocess.run(command, capture_output=True, text=True, start_new_session=True)
+    assert done.returncode == 2
+    assert reason in done.stderr
 
 
 def test_a_person_at_a_terminal_arms_drives_and_lets_go(running: Any) -> None:
