@@ -74,6 +74,13 @@ def _cubic(t: float, a: float, b: float, c: float, d: float) -> tuple[float, flo
 
 
 @jit
+def _along(heights: Array, row: int, j: int, t: float) -> tuple[float, float]:
+    """Value and slope in a row of the height field at t in [0, 1] between its columns j and j + 1."""
+    before, after = max(j - 1, 0), min(j + 2, heights.shape[1] - 1)
+    return _cubic(t, heights[row, before], heights[row, j], heights[row, j + 1], heights[row, after])
+
+
+@jit
 def _field(g: Row, heights: Array, x: float, y: float) -> tuple[float, float, float]:
     """Bicubic value and gradient of the height field; beyond its border the border's height goes on."""
     nx, ny = heights.shape
@@ -81,19 +88,10 @@ def _field(g: Row, heights: Array, x: float, y: float) -> tuple[float, float, fl
     v = min(max((y - g.y0) / g.dy, 0.0), ny - 1.0)
     i, j = min(floor(u), nx - 2), min(floor(v), ny - 2)
     s, t = u - i, v - j
-    j0, j1, j2, j3 = max(j - 1, 0), j, j + 1, min(j + 2, ny - 1)
-    a = b = c = d = da = db = dc = dd = 0.0
-    for k in range(4):
-        row = min(max(i + k - 1, 0), nx - 1)
-        value, slope = _cubic(t, heights[row, j0], heights[row, j1], heights[row, j2], heights[row, j3])
-        if k == 0:
-            a, da = value, slope
-        elif k == 1:
-            b, db = value, slope
-        elif k == 2:
-            c, dc = value, slope
-        else:
-            d, dd = value, slope
+    a, da = _along(heights, max(i - 1, 0), j, t)
+    b, db = _along(heights, i, j, t)
+    c, dc = _along(heights, i + 1, j, t)
+    d, dd = _along(heights, min(i + 2, nx - 1), j, t)
     height, slope_x = _cubic(s, a, b, c, d)
     slope_y, _ = _cubic(s, da, db, dc, dd)
     inside_x = g.x0 <= x <= g.x0 + (nx - 1) * g.dx
