@@ -101,14 +101,6 @@ def design_observer(robot: RobotConfig) -> ObserverDesign:
         + [noise.acceleration_noise_mps2]
     )
     filtered = steady_state_gain(between, sampled.c, total, np.diag(sigma**2))
-
-    history = round(noise.history_ms / 1000.0 / period)
-    corrections, carried = [], [filtered.gain]
-    for _ in range(history):
-        later_predictions = [sampled.c @ correction for correction in reversed(carried[1:])]
-        corrections.append((carried[-1], *later_predictions))
-        carried.append(transition @ carried[-1])
-
     attitude = [_INDEX["roll_rad"], _INDEX["pitch_rad"]]
     settled = np.linalg.solve(-model.a[:14, :14], np.hstack([model.a[:14, [14, 16]], model.b[:14, :4]]))
     at_rest = np.zeros((len(_INDEX), 6))
@@ -121,13 +113,27 @@ def design_observer(robot: RobotConfig) -> ObserverDesign:
         tick=np.block(
             [[transition, from_force], [sampled.c @ transition, sampled.c @ from_force + feedthrough]]
         ),
-        corrections=tuple(corrections),
+        corrections=_corrections(
+            filtered.gain, transition, sampled.c, history=round(noise.history_ms / 1000.0 / period)
+        ),
         at_rest=at_rest,
         spring_npm=tuple(parameters.spring_npm().tolist()),
         damper_nspm=tuple(parameters.damper_nspm().tolist()),
         nominal=np.asarray(settled[attitude, 2:]),
         sigma_rad=float(np.sqrt(np.diag(filtered.posterior)[attitude].max())),
     )
+
+
+def _corrections(
+    gain: Array, transition: Array, output: Array, history: int
+) -> tuple[tuple[Array, ...], ...]:
+    """What the innovation of a sample 0, 1, ... ticks late adds to the state, and to the outputs since."""
+    corrections, carried = [], [gain]
+    for _ in range(history):
+        later_predictions = [output @ correction for correction in reversed(carried[1:])]
+        corrections.append((carried[-1], *later_predictions))
+        carried.append(transition @ carried[-1])
+    return tuple(corrections)
 
 
 def observed_car(robot: RobotConfig) -> FullCarParameters:

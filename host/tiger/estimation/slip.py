@@ -84,7 +84,7 @@ def trusted(
     """
     if _hold_again(config, state):
         return ALL
-    noise = config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps)
+    noise = _noise_mps(config, speed_mps)
     spread = hypot(noise, config.scrub_noise * yaw_rate_radps * wheels.half_track_m[0])
     most, closer = _gates(config, state, spread, speed_sigma_mps)
     off = [abs(told - speed_mps) for told in wheels.told_mps]
@@ -102,6 +102,16 @@ def trusted(
     return _bools(good)
 
 
+def _learned_scrub(
+    config: OdometryConfig, scrub: float, wheels: Wheels, yaw_rate_radps: float, dt: float
+) -> float:
+    """Follow how much faster than the body a skid-steered robot's sides turn it."""
+    a, b, c, d = wheels.surface_mps
+    apart = (b + d - a - c) / sum(wheels.half_track_m)
+    seen = min(max(apart / yaw_rate_radps, 1.0), config.scrub_most)
+    return scrub + config.scrub_learning_per_rad * abs(yaw_rate_radps) * dt * (seen - scrub)
+
+
 def _only_scrubs(
     config: OdometryConfig, wheels: Wheels, left: int, right: int, yaw_rate_radps: float
 ) -> bool:
@@ -109,6 +119,11 @@ def _only_scrubs(
     track_m = wheels.half_track_m[left] + wheels.half_track_m[right]
     apart_mps = wheels.surface_mps[right] - wheels.surface_mps[left]
     return 1.0 <= apart_mps / (track_m * yaw_rate_radps) <= config.scrub_most
+
+
+def _noise_mps(config: OdometryConfig, speed_mps: float) -> float:
+    """How far a wheel that holds may be off by itself."""
+    return config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps)
 
 
 def _hold_again(config: OdometryConfig, state: SlipState) -> bool:
@@ -137,8 +152,7 @@ def plausible(
     """Tell whether the mean of both sides, in which scrub cancels, agrees with inertia."""
     if _hold_again(config, state):
         return True
-    spread = config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps)
-    spread += config.scrub_speed_m * abs(yaw_rate_radps)
+    spread = _noise_mps(config, speed_mps) + config.scrub_speed_m * abs(yaw_rate_radps)
     most, closer = _gates(config, state, spread, speed_sigma_mps)
     return abs(mean_mps - speed_mps) < (closer if any(state.slipping) else most)
 
@@ -184,15 +198,12 @@ def step(
         slipping.append(was)
         times.append(since)
     scrub = state.scrub
-    turning = abs(yaw_rate_radps)
-    if turning > config.scrub_least_radps and all(good):
-        a, b, c, d = wheels.surface_mps
-        apart = (b + d - a - c) / sum(wheels.half_track_m)
-        seen = min(max(apart / yaw_rate_radps, 1.0), config.scrub_most)
-        scrub += config.scrub_learning_per_rad * turning * dt * (seen - scrub)
+    if abs(yaw_rate_radps) > config.scrub_least_radps and all(good):
+        scrub = _learned_scrub(config, scrub, wheels, yaw_rate_radps, dt)
     coasting_s = 0.0 if any(good) else state.coasting_s + dt
-    noise = config.wheel_noise_mps + config.wheel_noise_ratio * abs(speed_mps)
-    spread = hypot(noise, config.scrub_noise * yaw_rate_radps * wheels.half_track_m[0])
+    spread = hypot(
+        _noise_mps(config, speed_mps), config.scrub_noise * yaw_rate_radps * wheels.half_track_m[0]
+    )
     lowest, highest = min(wheels.told_mps), max(wheels.told_mps)
     together_s = state.together_s + dt if highest - lowest < config.agree_sigmas * spread else 0.0
     settled = all(good) and abs(0.5 * (lowest + highest) - speed_mps) < spread
