@@ -70,6 +70,32 @@ def test_the_messages_on_the_configuration_page_are_those_that_a_user_gets(
     assert f"```\n{told.value}\n```\n" in text_of("configuration.md")
 
 
+QUOTED = [  # the page, its words, and the key whose value, times a factor, stands for {}
+    ("stability.md", "That must stay within {} % of the way", "stability.load_transfer_max", 100),
+    ("stability.md", "margin below {}, balance point", "stability.warning_margin", 1),
+    ("stability.md", "balance point nearer than {} s, or a command", "stability.warning_time_s", 1),
+    ("stability.md", "accelerations are told {} ms ahead (`late_s`)", "stability.late_s", 1000),
+    ("stability.md", "stays near its mean of the last {} s.", "stability.trip_mean_s", 1),
+    ("stability.md", "A blow of more than {} m/s within", "stability.trip_blow_mps", 1),
+    ("stability.md", "m/s within {} s, beyond what", "stability.trip_blow_s", 1),
+    ("stability.md", "braking never below {} m/s2", "stability.brake_min_mps2", 1),
+    ("control.md", "has left the zone ({} degrees on still ground", "leveling.wake_deg", 1),
+    ("control.md", "{} on turning ground", "leveling.dead_zone_deg", 1),
+    ("control.md", "from {} % of the limit on the rate", "leveling.heat_slow", 100),
+    ("control.md", "to nothing at {} %", "leveling.heat_stop", 100),
+    ("control.md", "over the last {} m is believed", "leveling.ahead_learn_m", 1),
+    ("control.md", "It changes by {} degrees a second at most", "observer.tilt_rate_degps", 1),
+    ("decisions.md", "what is left under {} degrees/s", "safety.max_rest_gyro_bias_degps", 1),
+]
+
+
+@pytest.mark.parametrize(("page", "words", "key", "factor"), QUOTED, ids=[words for _, words, *_ in QUOTED])
+def test_a_page_quotes_the_configuration_as_it_is(page: str, words: str, key: str, factor: int) -> None:
+    table, name = key.split(".")
+    value = round(DEFAULTS[table][name] * factor, 6)
+    assert words.format(f"{value:g}") in re.sub(r"\s+", " ", text_of(page))
+
+
 # ---------------------------------------------------------------------------------------------------- Roboteq
 
 
