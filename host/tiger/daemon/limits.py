@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from tiger.devices.roboteq import MOTOR_FAULTS, MOTOR_REMEDY, REMEDY, FaultFlag, MotorFlag, decode_flags
 from tiger.frozen import dataclass
@@ -52,12 +52,27 @@ class Limit:
         return Problem(ProblemKind.LIMIT, self.where, text, self.next_step)
 
 
-def _age_ms(sample: Callable[[Inputs], object | None]) -> Callable[[Inputs, Estimate], float | None]:
+class _Sample(Protocol):
+    @property
+    def t_s(self) -> float:
+        """When it was taken."""
+
+
+def _no_older(
+    where: str,
+    what: str,
+    sample: Callable[[Inputs], _Sample | None],
+    most_ms: Callable[[SafetyConfig], float],
+    holds: bool = False,
+) -> Limit:
+    """A sample must not be older. Armed, the robot is stopped by it only at a multiple: see `patience`."""
+
     def age_ms(inputs: Inputs, _: Estimate) -> float | None:
         newest = sample(inputs)
-        return None if newest is None else (inputs.now_s - newest.t_s) * 1e3  # type: ignore[attr-defined]
+        return None if newest is None else (inputs.now_s - newest.t_s) * 1e3
 
-    return age_ms
+    text = f"newest {what} {{:.0f}} ms old"
+    return Limit(where, text, age_ms, most_ms, _CABLE, patience=LATE_PATIENCE, holds=holds)
 
 
 def _tilt_deg(_: Inputs, estimate: Estimate) -> float | None:
@@ -93,56 +108,12 @@ def _largest_current_a(sample: DriveSample) -> float:
 _CABLE = "Check its cable and its line in the table of links."
 
 LIMITS = (
-    Limit(
-        "nano_imu",
-        "newest sample is {:.0f} ms old",
-        _age_ms(lambda i: i.imu),
-        lambda s: s.imu_age_ms,
-        _CABLE,
-        patience=LATE_PATIENCE,
-        holds=True,
-    ),
-    Limit(
-        "mega_suspension",
-        "newest strokes are {:.0f} ms old",
-        _age_ms(lambda i: i.strokes),
-        lambda s: s.stroke_age_ms,
-        _CABLE,
-        patience=LATE_PATIENCE,
-        holds=True,
-    ),
-    Limit(
-        "mega_speed (left)",
-        "newest wheel speeds are {:.0f} ms old",
-        _age_ms(lambda i: i.wheels_left),
-        lambda s: s.wheel_age_ms,
-        _CABLE,
-        patience=LATE_PATIENCE,
-    ),
-    Limit(
-        "mega_speed (right)",
-        "newest wheel speeds are {:.0f} ms old",
-        _age_ms(lambda i: i.wheels_right),
-        lambda s: s.wheel_age_ms,
-        _CABLE,
-        patience=LATE_PATIENCE,
-    ),
-    Limit(
-        "roboteq (left)",
-        "newest speeds are {:.0f} ms old",
-        _age_ms(lambda i: i.drive_left),
-        lambda s: s.roboteq_age_ms,
-        _CABLE,
-        patience=LATE_PATIENCE,
-    ),
-    Limit(
-        "roboteq (right)",
-        "newest speeds are {:.0f} ms old",
-        _age_ms(lambda i: i.drive_right),
-        lambda s: s.roboteq_age_ms,
-        _CABLE,
-        patience=LATE_PATIENCE,
-    ),
+    _no_older("nano_imu", "sample is", lambda i: i.imu, lambda s: s.imu_age_ms, holds=True),
+    _no_older("mega_suspension", "strokes are", lambda i: i.strokes, lambda s: s.stroke_age_ms, holds=True),
+    _no_older("mega_speed (left)", "wheel speeds are", lambda i: i.wheels_left, lambda s: s.wheel_age_ms),
+    _no_older("mega_speed (right)", "wheel speeds are", lambda i: i.wheels_right, lambda s: s.wheel_age_ms),
+    _no_older("roboteq (left)", "speeds are", lambda i: i.drive_left, lambda s: s.roboteq_age_ms),
+    _no_older("roboteq (right)", "speeds are", lambda i: i.drive_right, lambda s: s.roboteq_age_ms),
     Limit(
         "body",
         "tilted by {:.1f} degrees",
