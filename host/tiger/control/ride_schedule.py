@@ -46,7 +46,7 @@ class ScheduledRide:
         tail = () if runs is None else (runs,)
         states = tuple(np.zeros((len(c.model.a), *tail)) for c in (self.long_waves, self.rough_road))
         none = np.zeros(tail)
-        return ScheduledState(states, np.zeros((4, *tail)), none, none, none)
+        return ScheduledState(states, np.zeros((4, *tail)), none, none)
 
     def step(self, state: ScheduledState, imu: Array) -> tuple[ScheduledState, Array]:
         """Take one IMU sample (3,) or (3, runs) and return the new state and the force (4,) or (4, runs)."""
@@ -67,7 +67,7 @@ class ScheduledRide:
         limit = min(self.long_waves.max_force_n, self.rough_road.max_force_n)
         force = np.clip(force, -limit, limit)
         after = tuple(model.a @ estimate + model.b @ force for model, estimate in estimates)
-        return ScheduledState(after, force, low, square, share), force
+        return ScheduledState(after, force, low, square), force
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,8 +78,6 @@ class ScheduledState:
     force_n: Array
     low_mps2: Array
     square: Array
-    rough_share: Array
-    """0 on long waves, 1 on a rough road."""
 
 
 def _gauge(gauge: RoughnessGauge, state: ScheduledState, accel: Array) -> tuple[Array, Array]:

@@ -153,16 +153,6 @@ class History:
         return self.contacts[:, :, kernel.LOAD_AT]
 
     @property
-    def longitudinal_force_n(self) -> Array:
-        """F_x of each tyre."""
-        return self.contacts[:, :, kernel.FX_AT]
-
-    @property
-    def lateral_force_n(self) -> Array:
-        """F_y of each tyre."""
-        return self.contacts[:, :, kernel.FY_AT]
-
-    @property
     def wheel_torque_nm(self) -> Array:
         """Drive torque of each wheel."""
         return self.contacts[:, :, kernel.DRIVE_TORQUE_AT]
