@@ -440,14 +440,23 @@ class _Printer:
             typer.echo(f"{time_s:8.2f} s  {record.state.name}: {record.reason}{problems}")
 
 
+def _scenario(robot: RobotConfig, name: str, wishes: Wishes) -> Scenario:
+    """Load a scenario; one that drives leaves nothing to drive for the command line."""
+    from tiger.emulation.scenarios import load_scenario
+
+    scenario = load_scenario(name, robot.drive)
+    if (scenario.drive or scenario.waypoint) and (wishes.speed_mps or wishes.yaw_rate_radps):
+        _fail(f"{name} drives by its own plan; leave out --speed and --yaw-rate, or take another scenario")
+    return scenario
+
+
 def _run_virtual(robot: RobotConfig, scenario_name: str, seed: int, wishes: Wishes) -> tuple[Journal, None]:
     from contextlib import nullcontext
 
     from tiger.cli.live import FRAMES_PER_S, Screen, is_terminal
-    from tiger.emulation.scenarios import load_scenario
     from tiger.rig.virtual import Rig
 
-    scenario = load_scenario(scenario_name, robot.drive)
+    scenario = _scenario(robot, scenario_name, wishes)
     with starting("the emulated robot starts"):
         rig = Rig(robot, scenario, seed)
     log = _Log(wishes.log_folder, rig.config, rig.clock)
@@ -482,10 +491,9 @@ def _run_virtual(robot: RobotConfig, scenario_name: str, seed: int, wishes: Wish
 def _run_emulated(
     robot: RobotConfig, scenario_name: str, seed: int, wishes: Wishes
 ) -> tuple[Journal, Lateness]:
-    from tiger.emulation.scenarios import load_scenario
     from tiger.rig.separate import SeparateRobot
 
-    scenario = load_scenario(scenario_name, robot.drive)
+    scenario = _scenario(robot, scenario_name, wishes)
     if wishes.duration_s is None:
         wishes.duration_s = scenario.duration_s
     with contextlib.ExitStack() as stack:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
 
 import typer
 
@@ -52,11 +53,11 @@ MEANINGS = {
         "FACTOR", "Of the sensors' noise: 1 is 0.02 m/s2 and 0.001 rad/s per sample at 200 Hz.", 0
     ),
     "duration_s": Meaning("SECONDS", "How long each run is.", 0.1),
-    "speed_kmh": Meaning("KM/H", "Constant speed."),
+    "speed_kmh": Meaning("KM/H", "Constant speed.", 1),
     "step_m": Meaning("METRES", "Height of the step."),
     "dt_s": Meaning("SECONDS", "Step of the integration.", 1e-5),
     "inertia_divisor": Meaning(
-        "FACTOR", "What the moments of inertia are divided by; printed figures differ in it."
+        "FACTOR", "What the moments of inertia are divided by; printed figures differ in it.", 0.01
     ),
     "periods": Meaning("NUMBER", "How many periods are run.", 1),
     "runs": Meaning("NUMBER", "How many runs; of tip-over, one in five is a curb.", 1),
@@ -74,9 +75,9 @@ MEANINGS = {
     # corner-bump, double-bump
     "step_at_s": Meaning("SECONDS", "When the step comes."),
     "bump_m": Meaning("METRES", "Height of the bumps."),
-    "bump_length_m": Meaning("METRES", "Length of the bumps."),
-    "attitude_bandwidth_hz": Meaning("HERTZ", "How fast the active car returns to level."),
-    "damper_share_kept": Meaning("SHARE", "Part of the damper forces that is not cancelled, 0 to 1."),
+    "bump_length_m": Meaning("METRES", "Length of the bumps.", 0.01),
+    "attitude_bandwidth_hz": Meaning("HERTZ", "How fast the active car returns to level.", 0),
+    "damper_share_kept": Meaning("SHARE", "Part of the damper forces that is not cancelled, 0 to 1.", 0),
     "eam": Meaning("NAME|FILE", "Vehicle whose series actuators are borrowed."),
     # identification, observer
     "snr_db": Meaning("DB", "Signal-to-noise ratio of every output."),
@@ -90,11 +91,11 @@ MEANINGS = {
     "bumpy_seeds": Meaning("NUMBER", "Runs on the bumpy road.", 1),
     "iso_seeds": Meaning("NUMBER", "Runs on the ISO road.", 1),
     "schedule": Meaning("", "Weights follow the speed; otherwise those of 20 m/s, as in the dissertation."),
-    "slowest_mps": Meaning("M/S", "First speed."),
-    "fastest_mps": Meaning("M/S", "Last speed."),
-    "step_mps": Meaning("M/S", "From one speed to the next."),
-    "rate_nps": Meaning("N/S", "How fast a force may change."),
-    "travel_mm": Meaning("MM", "Suspension travel that the predictive controller aims to keep."),
+    "slowest_mps": Meaning("M/S", "First speed.", 1),
+    "fastest_mps": Meaning("M/S", "Last speed.", 1),
+    "step_mps": Meaning("M/S", "From one speed to the next.", 0.1),
+    "rate_nps": Meaning("N/S", "How fast a force may change.", 1),
+    "travel_mm": Meaning("MM", "Suspension travel that the predictive controller aims to keep.", 1),
     # monte-carlo
     "design": Meaning("NAME", "Of the controller: robust, holding, holding-preview or comfort-preview."),
     "road_class": Meaning("A-H", "Class of the road (ISO 8608)."),
@@ -126,39 +127,53 @@ app = typer.Typer(
 
 
 def _run(module_name: str, parameters: dict[str, Any], json_path: Path | None, plots: Path | None) -> None:
+    from pydantic import ValidationError
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from tiger.config.errors import ConfigError
 
     refuse_unwritable(json_path)
+    for parameter, value in parameters.items():
+        if isinstance(value, float) and not math.isfinite(value):
+            _fail(
+                f"--{parameter.replace('_', '-')} {value:g}: cannot be calculated with; give a finite number"
+            )
+        if isinstance(value, Path):
+            refuse_unwritable(value)
     if plots is not None:
         make_folder(plots)
     to_screen = str(json_path) == "-"
     console = Console(stderr=to_screen)
-    module = importlib.import_module(f"tiger.studies.{module_name}")
+    module, name = importlib.import_module(f"tiger.studies.{module_name}"), module_name.replace("_", "-")
     try:
         if "progress" in inspect.signature(module.run).parameters:
             columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
             with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-                task = bar.add_task(module_name.replace("_", "-"), total=1.0)
+                task = bar.add_task(name, total=1.0)
                 parameters["progress"] = lambda done: bar.update(task, completed=done)
                 report: Report = module.run(**parameters)
         else:
             report = module.run(**parameters)
-    except (ConfigError, ValueError, OSError) as error:
-        Console(stderr=True).print(
-            f"study {module_name.replace('_', '-')}: {error}", style="red", markup=False
-        )
-        raise typer.Exit(2) from None
+    except ValidationError as error:
+        _fail(str(ConfigError.from_validation(error, f"study {name}")))
+    except OSError as error:
+        _fail(f"study {name}: {error.filename or 'a file'} cannot be used ({error.strerror}); choose another")
+    except (ConfigError, ValueError) as error:
+        _fail(f"study {name}: {error}")
     console.print(report.table())
-    for name, value in report.assumptions.items():
-        console.print(f"  {name}: {value}", style="dim", markup=False, highlight=False)
+    for choice, value in report.assumptions.items():
+        console.print(f"  {choice}: {value}", style="dim", markup=False, highlight=False)
     if json_path is not None:
         write_json(json_path, report.to_json(), indent=None if to_screen else 1)
     if plots is not None:
         for path in module.plot(report, plots):
             console.print(f"plot: {path}", markup=False, highlight=False)
+
+
+def _fail(message: str) -> NoReturn:
+    typer.echo(message, err=True)
+    raise typer.Exit(2)
 
 
 def _command(module_name: str) -> Callable[..., None]:

@@ -48,6 +48,11 @@ def run(
     schedule False keeps the weights of 20 m/s, as the dissertation does. Wheel delays scale with 20 m/s over
     the speed.
     """
+    if not 0.0 < slowest_mps <= fastest_mps or not step_mps > 0.0:
+        raise ValueError(
+            f"slowest_mps = {slowest_mps:g}, fastest_mps = {fastest_mps:g}, step_mps = {step_mps:g}: "
+            "speeds go up from the slowest to the fastest; exchange them, or take a step above 0"
+        )
     case = ride_cases.load_case(vehicle)
     speeds = np.arange(slowest_mps, fastest_mps + 0.5 * step_mps, step_mps)
     crossings = []

@@ -192,6 +192,27 @@ def test_a_study_refuses_before_it_works(
     assert message in result.output
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["quarter-car", "--step-m", "nan"], "--step-m nan: cannot be calculated with; give a finite number"),
+        (["handling", "--speed-kmh", "-30"], "greater than or equal to 1"),
+        (["shaking-plate", "--step-deg", "90"], "study shaking-plate: to_deg = 90.0: input should be less"),
+        (["speed-sweep", "--slowest-mps", "50", "--fastest-mps", "10"], "exchange them"),
+        (["speed-sweep", "--step-mps", "0"], "greater than or equal to 0.1"),
+        (["force-limits", "--rate-nps", "-1"], "greater than or equal to 1"),
+        (["tip-over", "--keep", "/tmp"], "/tmp: cannot be written (it is a folder)"),
+    ],
+)
+def test_a_study_refuses_what_cannot_be_calculated(
+    words: list[str], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = tiger("study", *words, monkeypatch=monkeypatch)
+    assert result.exit_code == 2
+    assert message in result.output
+    assert "pydantic" not in result.output
+
+
 def test_figures_of_a_study_to_the_screen_are_all_there_is_on_standard_output() -> None:
     words = ["study", "eam", "--points", "3", "--json", "-"]
     result = subprocess.run(
@@ -287,6 +308,7 @@ def test_a_wrong_robot_toml_names_its_key_and_nothing_starts(
             "--speed 99: is outside ±3 m/s (max_speed_mps under [drive])",
         ),
         (["--emulate", "curb", "--speed", "nan"], "--speed nan: is outside"),
+        (["--emulate", "curb", "--speed", "0.2"], "curb drives by its own plan; leave out --speed"),
         (["--emulate", "curb", "--yaw-rate", "-91"], "--yaw-rate -91: is outside ±90 degrees/s"),
         (
             ["--emulate", "curb", "--json", "/no/such/out.json"],
