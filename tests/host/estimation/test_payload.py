@@ -14,7 +14,9 @@ from tiger.emulation.scenarios import RoughConfig, Scenario, Start, TerrainConfi
 from tiger.estimation import payload, wheel_loads
 from tiger.estimation.payload import MASS, ROLLING, STATES, UNKNOWN_M
 from tiger.estimation.tilt_error import TiltError
+from tiger.models.full_car import FullCarParameters
 from tiger.record import Estimate, Inputs, Loads
+from tiger.studies import side_limit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -63,6 +65,17 @@ def quarter_turn(time_s: float) -> tuple[float, float]:
     return speed, yaw_rate if 11.0 <= time_s < 21.0 else 0.0
 
 
+def scenario(of: Case, for_s: float = 31.0) -> Scenario:
+    return Scenario(
+        title="load",
+        duration_s=for_s,
+        friction=0.5,  # on asphalt the motors cannot turn the robot
+        payload=PayloadConfig(mass_kg=of.mass_kg, place_m=of.place_m) if of.mass_kg else None,
+        start=Start(x_m=30.0, yaw_deg=of.yaw_deg),
+        terrain=of.terrain,
+    )
+
+
 def driven(
     roll: Roll,
     of: Case,
@@ -71,16 +84,8 @@ def driven(
     for_s: float = 31.0,
 ) -> Loads:
     """What is said of the load after the drive."""
-    scenario = Scenario(
-        title="load",
-        duration_s=for_s,
-        friction=0.5,  # on asphalt the motors cannot turn the robot
-        payload=PayloadConfig(mass_kg=of.mass_kg, place_m=of.place_m) if of.mass_kg else None,
-        start=Start(x_m=30.0, yaw_deg=of.yaw_deg),
-        terrain=of.terrain,
-    )
     state, estimate = wheel_loads.initial_state(DESIGN), Estimate(ready=True)
-    for tick in roll(ROBOT, scenario, along, seed):
+    for tick in roll(ROBOT, scenario(of, for_s), along, seed):
         state, loads = wheel_loads.step(DESIGN, state, tick.inputs, estimate, EXACT, 0.005)
         estimate = replace(estimate, loads=loads)
     return estimate.loads
@@ -117,6 +122,36 @@ def test_without_a_turn_the_side_stays_open_and_the_deviation_says_so(roll: Roll
     assert abs(said.payload_m[0] - of.place_m[0]) < 0.07
     assert said.payload_sigma_m[1] > 0.15
     assert abs(said.payload_m[1] - of.place_m[1]) < 3.0 * said.payload_sigma_m[1]
+
+
+def least_sigma_m(roll: Roll, of: Case, seed: int) -> float:
+    """How well the place to the side could be told after the half turn, with the ground's class known."""
+    terrain = of.terrain
+    assert terrain.rough is not None
+    path = [
+        (*tick.truth.position_m[:2], tick.attitude_rad[2])
+        for tick in roll(ROBOT, scenario(of), half_turn, seed)
+    ]
+    waves_m = (terrain.rough.shortest_wave_m, terrain.rough.size_m[0])
+    corners_m = FullCarParameters.from_config(ROBOT.vehicle).corner_positions_m()
+    return side_limit.least_sigma_m(
+        DESIGN.payload,
+        corners_m,
+        np.array(path),
+        terrain.rough.roughness,
+        waves_m,
+        np.radians(1.5),
+        of.mass_kg,
+    )
+
+
+@pytest.mark.parametrize("seed", [1000, 1001, 1003])
+def test_the_side_is_not_said_to_be_known_better_than_the_ground_lets_it(roll: Roll, seed: int) -> None:
+    """Classes B, C and B: some 1.5 cm, twice as much on the rougher one, and never less in the filter."""
+    of = case(seed)
+    least = least_sigma_m(roll, of, seed)
+    assert 0.01 < least < 0.06
+    assert driven(roll, of, seed).payload_sigma_m[1] > least
 
 
 @pytest.mark.proof
