@@ -128,7 +128,7 @@ class LevelingConfig(_Section):
     ahead_step_m: Positive
     ahead_memory_m: Positive
     ahead_smooth_m: Positive
-    ahead_noise: Positive
+    ahead_noise: Annotated[tuple[Positive, ...], Field(min_length=1)]
     ahead_waves_m: Annotated[tuple[NonNegative, ...], Field(min_length=1)]
     ahead_trial_m: Positive
     ahead_learn_m: Positive

@@ -11,10 +11,12 @@ Roll and pitch of the plane under four wheels are differences of heights, so thi
 two of them, and with it the least-squares estimate of slopes to come from slopes passed (kriging; Matheron,
 Principles of geostatistics, 1963). The mean slope of a hill is unknown and goes on.
 
-How short the shortest waves are decides how far ahead the ground can be told at all, and is not known. So it
-is learned: at every step each of a few grounds tells the slope of now from those a little way back, and the
-one that has been least wrong over the last metres is believed (multiple-model estimation; Magill, IEEE Trans.
-Automatic Control 10, 1965). Its share in the errors of all counts: a jolt weighs no more than any step.
+How short the shortest waves are decides how far ahead the ground can be told at all, and is not known. Nor
+is how well the slopes passed are known: a load that swings on its springs looks like ground. So both are
+learned: at every step each of a few grounds, its slopes known well or badly, tells the slope of now from
+those a little way back, and the one that has been least wrong over the last metres is believed
+(multiple-model estimation; Magill, IEEE Trans. Automatic Control 10, 1965). Its share in the errors of all
+counts: a jolt weighs no more than any step.
 
 The moments that count begin when what is decided now acts, and are as long as the levelling law takes to
 bring a small error down. It aims at the mean of the ground over them, which for slow actuators is as good as
@@ -25,6 +27,7 @@ slopes are remembered at every step of the way, and at each a product with the t
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -67,8 +70,9 @@ class AheadDesign:
     """How much more is known after each step."""
     speed_step_mps: float
     table: Array
-    """(grounds, speeds, axis, 2, taps): weights of the slopes at the last steps, newest first, that give the
-    mean slope ahead less that of now; just at a step, and a step later."""
+    """(grounds, speeds, axis, 2, taps), a ground being its shortest wave and a noise: weights of the slopes
+    at the last steps, newest first, that give the mean slope ahead less that of now; just at a step, and a
+    step later."""
     trial: Array
     """(axis, grounds, taps): the same that give how far off the newest each ground would have told."""
     learn: float
@@ -105,13 +109,14 @@ def design_ahead(robot: RobotConfig) -> AheadDesign:
     then_m = now_m[:, None] + speeds[:, None, None] * looks_s
     past_m: Array = -step_m * np.arange(taps, dtype=np.float64)
     back = round(config.ahead_trial_m / step_m)
-    grounds = len(config.ahead_waves_m)
-    table, trial = np.empty((grounds, _SPEEDS, 2, 2, taps)), np.zeros((2, grounds, taps))
+    grounds = tuple(product(config.ahead_waves_m, config.ahead_noise))
+    table = np.empty((len(grounds), _SPEEDS, 2, 2, taps))
+    trial = np.zeros((2, len(grounds), taps))
     trial[..., 0], trial[..., back] = 1.0, -1.0
     apart_m = np.arange(0.0, then_m.max() - past_m[-1] + _FINE_M, _FINE_M)
-    for ground, wave_m in enumerate(config.ahead_waves_m):
+    for ground, (wave_m, noise) in enumerate(grounds):
         for axis, common in enumerate(_in_common(body, wave_m, config.ahead_smooth_m, apart_m)):
-            slope = _Slope(apart_m, common, config.ahead_noise)
+            slope = _Slope(apart_m, common, noise)
             table[ground, :, axis] = slope.turn(now_m, then_m, past_m)
             trial[axis, ground, back:] -= slope.turn(past_m[back], past_m[:1], past_m[back:])
     return AheadDesign(
