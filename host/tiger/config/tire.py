@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import resources
 from math import atan, sin
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -114,8 +113,7 @@ def load_soil(name_or_path: str | Path) -> SoilConfig:
 
 
 def _load(model: type[_Model], folder: str, name_or_path: str | Path) -> _Model:
-    presets = resources.files("tiger.config") / "presets" / folder
-    known = sorted(item.name.removesuffix(".toml") for item in presets.iterdir())
+    known = toml.preset_names(folder)
     source = str(name_or_path)
     if toml.is_path(name_or_path):
         tables = toml.read(name_or_path)

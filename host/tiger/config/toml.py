@@ -21,6 +21,12 @@ def read(path: str | Path) -> dict[str, Any]:
     return parsed(text, str(path))
 
 
+def preset_names(*folder: str) -> tuple[str, ...]:
+    """Return the sorted names of the packaged files in a folder below `presets`, without the suffix."""
+    found = resources.files("tiger.config").joinpath("presets", *folder).iterdir()
+    return tuple(sorted(item.name.removesuffix(".toml") for item in found if item.name.endswith(".toml")))
+
+
 def read_preset(*way: str) -> dict[str, Any]:
     """Return the tables of a packaged file, by its way below `presets`, without the suffix."""
     folder = resources.files("tiger.config") / "presets"

@@ -7,7 +7,6 @@ units, except millimetres for the actuator's stroke and the mechanism's points; 
 
 from __future__ import annotations
 
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -158,8 +157,7 @@ class VehicleConfig(_Section):
 
 def preset_names() -> tuple[str, ...]:
     """Names that `load_vehicle` knows."""
-    folder = resources.files("tiger.config") / "presets"
-    return tuple(sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith(".toml")))
+    return toml.preset_names()
 
 
 def load_vehicle(name_or_path: str | Path) -> VehicleConfig:
