@@ -7,7 +7,15 @@ from itertools import pairwise
 import pytest
 
 from tiger.native.boards import SuspensionBoard
-from tiger.protocol.messages import AckStatus, BoardState, SuspensionMove, SuspensionState
+from tiger.protocol.messages import (
+    PARAMS,
+    AckStatus,
+    BoardKind,
+    BoardState,
+    ParamSet,
+    SuspensionMove,
+    SuspensionState,
+)
 
 FULL_SPEED = 9.4
 MOVE_MM = 35.0
@@ -188,6 +196,20 @@ def test_no_drive_at_zero_rate(armed):
     armed.watch = lambda: seen.append(armed.is_off)
     armed.run_ms(5000)
     assert all(seen)
+
+
+@pytest.mark.parametrize("full_speed_mmps", [5.0, 9.4, 18.8])
+def test_half_the_full_speed_of_the_parameter_takes_half_the_drive(rig, full_speed_mmps):
+    index = next(p.index for p in PARAMS[BoardKind.MEGA_SUSPENSION] if p.name == "full_speed_mmps")
+    assert rig.request(ParamSet(0, index, round(1000 * full_speed_mmps))).status == AckStatus.OK
+    for actuator in rig.actuators:
+        actuator.full_speed_mmps = full_speed_mmps
+    rig.boot()
+    rig.arm()
+    rig.rates_mmps = (full_speed_mmps / 2, -full_speed_mmps / 2) * 2
+    rig.run_ms(400)
+    assert rig.board.drive() == pytest.approx((0.5, -0.5, 0.5, -0.5), abs=0.03)
+    assert [a.rate_mmps for a in rig.actuators] == pytest.approx(rig.rates_mmps, rel=0.05)
 
 
 def test_a_rate_beyond_full_speed_is_followed_at_full_speed(armed):

@@ -93,6 +93,7 @@ def test_a_ramp_arrives_in_time_within_its_limits(
     assert steps * DT <= least + 4 * DT
 
 
+@settings(deadline=None)
 @given(value=st.floats(-3, 3), rate=st.floats(-2, 2), wanted=st.floats(-3, 3))
 def test_a_ramp_down_mirrors_a_ramp_up(value: float, rate: float, wanted: float) -> None:
     for _ in range(50):

@@ -96,6 +96,16 @@ def test_a_new_command_is_limited_at_once_between_two_samples() -> None:
     assert allowed.speed_mps * allowed.yaw_rate_radps < 12.0 * 0.7
 
 
+def test_under_a_steady_push_neither_force_nor_trend_is_left_behind() -> None:
+    """Both low passes come to what is felt, so that nothing is foreseen that does not change."""
+    design = design_stability(ROBOT)
+    state, _, _ = drive(design, Command())
+    state, _, _ = drive(design, Command(), state, seconds=1.0, accel=(0.4, -0.3, 0.2))
+    motion = state.motion
+    assert motion.felt[:3] == pytest.approx((0.4, -0.3, G + 0.2), abs=1e-6)
+    assert motion.felt_before == pytest.approx(motion.felt, abs=1e-6)
+
+
 def test_a_long_turn_is_not_taken_for_a_slope() -> None:
     """v r = 3 m/s2 for ten seconds; the vertical stays within a degree of where the body's lean leaves it."""
     design = design_stability(ROBOT)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
@@ -127,6 +127,7 @@ def test_an_imu_high_above_the_com_is_brought_down_to_it() -> None:
 _VECTOR = st.tuples(*[st.floats(-5.0, 5.0)] * 3)
 
 
+@settings(deadline=None)
 @given(place=_VECTOR, force=_VECTOR, rate=_VECTOR, turn=_VECTOR)
 def test_a_force_is_brought_to_the_com_as_a_rigid_body_carries_it(place, force, rate, turn) -> None:
     felt = tip_over.at_com(replace(RIGID, imu_m=place), force, rate, turn)

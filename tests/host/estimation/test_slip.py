@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tiger.config.robot import load_robot
@@ -180,6 +180,7 @@ def test_an_axle_that_scrubs_its_own_way_in_a_turn_is_believed(scrub: float, bel
     )
 
 
+@settings(deadline=None)
 @given(
     surface=st.tuples(*[st.floats(-2.0, 2.0)] * 4),
     speed=st.floats(-2.0, 2.0),
@@ -201,6 +202,7 @@ def test_backwards_it_judges_as_forwards(surface: Four, speed: float, yaw_rate: 
     assert ahead.ratio == pytest.approx([-ratio for ratio in back.ratio])
 
 
+@settings(deadline=None, max_examples=50)
 @given(st.floats(0.0, 3.0), st.floats(0.0, 0.6), st.floats(0.01, 1.0))
 def test_the_faster_it_drives_or_turns_the_farther_off_a_mean_is_still_plausible(
     speed: float, yaw_rate: float, more: float
