@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from tiger.calibration.person import measured
 from tiger.calibration.procedure import CalibrationError, Confirm, Measure, Turn, What
+from tiger.calibration.station import CONNECT_PATIENCE_S
 from tiger.calibration.wheels import (
     ARM_PATIENCE_S,
     Drive,
@@ -25,7 +26,7 @@ from tiger.calibration.wheels import (
     wrong_distance,
 )
 from tiger.daemon.loop import run
-from tiger.record import Command, Mode
+from tiger.record import Command, DaemonState, Mode
 
 if TYPE_CHECKING:
     from tiger.calibration.person import Person
@@ -82,6 +83,7 @@ def calibrate_wheels(
     around = Drive(radius_m, angle_rad=2.0 * math.pi * turns, turn_speed_mps=course.turn_speed_mps)
     place = "on a circle" if course.turn_speed_mps else "on the spot"
     side = "left" if turns > 0 else "right"
+    _connected(ticks)
     person.confirm(Confirm("Mark where the robot stands, on firm and even ground."))
     straight = _drive(
         daemon, ticks, person, ahead, f"It will drive {distance_m:g} m ahead. Is the way clear?"
@@ -110,6 +112,28 @@ def calibrate_wheels(
 
 def _turned_rad(turns: int, beyond_deg: float) -> float:
     return math.copysign(1.0, turns) * (2.0 * math.pi * abs(turns) + math.radians(beyond_deg))
+
+
+def _connected(ticks: Ticks) -> None:
+    """Let the daemon find the robot, before anyone marks the floor for it. Raises CalibrationError."""
+    since_s: float | None = None
+    missing: tuple[Problem, ...] | None = None
+
+    def on_record(record: Record) -> bool:
+        nonlocal since_s, missing
+        now_s = record.inputs.now_s
+        since_s = now_s if since_s is None else since_s
+        if record.state not in (DaemonState.DISCONNECTED, DaemonState.HANDSHAKE):
+            return False
+        if now_s - since_s < CONNECT_PATIENCE_S:
+            return True
+        missing = record.problems
+        return False
+
+    ticks(on_record)
+    if missing is not None:
+        said = "\n".join(map(str, missing))
+        raise CalibrationError(said or "wheels: the robot does not answer; try `tiger doctor`")
 
 
 def _drive(daemon: Daemon, ticks: Ticks, person: Person, drive: Drive, question: str) -> DriveState:

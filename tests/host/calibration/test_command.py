@@ -10,7 +10,7 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-from tiger.calibration import station
+from tiger.calibration import driving, station
 from tiger.cli.commands import app
 from tiger.daemon import discovery
 
@@ -105,12 +105,14 @@ def test_what_cannot_be_is_refused_in_words(tiger, words, reason) -> None:
     assert "Traceback" not in result.output
 
 
-def test_without_a_robot_it_says_what_to_connect(tiger, tmp_path, monkeypatch) -> None:
+@pytest.mark.parametrize("words", [["imu"], ["wheels", "--arm"]])
+def test_without_a_robot_it_says_what_to_connect(tiger, tmp_path, monkeypatch, words) -> None:
     monkeypatch.setattr(discovery, "GRACE_S", 0.1)
     monkeypatch.setattr(station, "CONNECT_PATIENCE_S", 0.3)
+    monkeypatch.setattr(driving, "CONNECT_PATIENCE_S", 0.3)
     config = tmp_path / "robot.toml"
     config.write_text('[ports]\nboards = ["/nowhere/board-*"]\n')
-    result = tiger("calibrate", "imu", "--config", str(config))
+    result = tiger("calibrate", *words, "--config", str(config))
     assert result.exit_code == 1
     assert "was not found on /nowhere/board-*" in result.output
     assert "Connect it" in result.output
