@@ -55,8 +55,7 @@ def closed_loop(
     over a period, NOISE on the IMU, PUSH. Outputs: accelerations, deflections and FORCE as computed.
     `delay_s` is any time from measurement to force.
     """
-    model = controller.model
-    n = len(model.a)
+    n = len(controller.model.a)
     late, fraction = divmod(delay_s / PERIOD_S + 1e-12, 1.0)
     first, rest = fraction * PERIOD_S, (1 - fraction) * PERIOD_S
     depth = max(int(late), controller.delay_samples) + 1
@@ -78,16 +77,7 @@ def closed_loop(
 
     imu = car.select(inputs=FORCE, outputs=IMU)
     measured = imu.c @ x + imu.d @ (past[int(late)] + pushed) + noise
-    believed = past[controller.delay_samples]
-    estimate = estimate_before + controller.filter_gain @ (
-        measured - model.c @ estimate_before - model.d @ believed
-    )
-    if controller.delay_samples:
-        predicted = model.a @ estimate + model.b @ past[0]
-        force = -controller.feedback @ predicted
-    else:
-        force = -controller.feedback @ estimate
-        predicted = model.a @ estimate + model.b @ force
+    predicted, force = _controlled(controller, measured, estimate_before, past)
     acting = force if late < 1 else past[int(late) - 1]
     moved = (
         whole @ x
@@ -106,16 +96,25 @@ def closed_loop(
         *(f"force_{corner}_{i + 1}_ago_n" for i in range(depth) for corner in CORNERS),
         *(f"pushed_{corner}_n" for corner in CORNERS),
     )
-    return LinearModel(
-        step[:, :size],
-        step[:, size:],
-        out[:, :size],
-        out[:, size:],
-        states,
-        (*ROAD, *NOISE, *PUSH),
-        OUTPUTS,
-        PERIOD_S,
-    )
+    (a, b), (c, d) = np.hsplit(step, [size]), np.hsplit(out, [size])
+    return LinearModel(a, b, c, d, states, (*ROAD, *NOISE, *PUSH), OUTPUTS, PERIOD_S)
+
+
+def _controlled(
+    controller: RideController, measured: Array, before: Array, past: list[Array]
+) -> tuple[Array, Array]:
+    """Return the filter's next state and the force, as `ride.step` has them when no limit acts.
+
+    `measured`, the filter's state `before` and `past` forces, newest first, are maps from the same columns.
+    """
+    model = controller.model
+    innovation = measured - model.c @ before - model.d @ past[controller.delay_samples]
+    estimate = before + controller.filter_gain @ innovation
+    if controller.delay_samples:
+        predicted = model.a @ estimate + model.b @ past[0]
+        return predicted, -controller.feedback @ predicted
+    force = -controller.feedback @ estimate
+    return model.a @ estimate + model.b @ force, force
 
 
 def is_stable(p: FullCarParameters, controller: RideController, delay_s: float = 0.0) -> bool:
