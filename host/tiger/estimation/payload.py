@@ -87,6 +87,8 @@ class PayloadDesign:
     heave_npm: float
     spin_kg: float
     """Spin inertia of the wheels over their radius squared."""
+    spin_kgm: float
+    """And over their radius: torque for each m/s2, and what a turn takes for each m/s and rad/s."""
     radius_m: float
     imu_height_m: float
     """Above the ground."""
@@ -196,7 +198,8 @@ class Payload:
     """Sum of mass x height above the ground, of robot and load: what accelerations tilt it with."""
     upright_nmprad: float = 0.0
     """Weight x radius: what brings a leaning body back because its wheels stay upright."""
-    rolling_resistance: float = 0.0
+    rolling_nm: float = 0.0
+    """Torque that rolling takes: it presses the tail down."""
 
 
 def design_payload(robot: RobotConfig) -> PayloadDesign:
@@ -221,6 +224,7 @@ def design_payload(robot: RobotConfig) -> PayloadDesign:
         pitch_nmprad=float(corner @ x**2),
         heave_npm=float(corner.sum()),
         spin_kg=4.0 * vehicle.tire.spin_inertia_kgm2 / radius**2,
+        spin_kgm=4.0 * vehicle.tire.spin_inertia_kgm2 / radius,
         radius_m=radius,
         imu_height_m=vehicle.body.com_height_m + vehicle.imu_offset_m[2],
         turning_radps=math.radians(config.turning_degps),
@@ -300,7 +304,7 @@ def payload(design: PayloadDesign, state: PayloadState) -> Payload:
         moment_sigma_kgm=(sigmas[1], sigmas[2], sigmas[3]),
         lever_kgm=_lever(design, state.mean)[0],
         upright_nmprad=_upright(design, state.mean),
-        rolling_resistance=float(state.mean[ROLLING]),
+        rolling_nm=_rolling_nm(design, state.mean),
     )
 
 
@@ -359,7 +363,7 @@ def _means(design: PayloadDesign, span: Span, now: Measured, drive_n: float) -> 
         span.direction / n,
         span.turned_rad,
         span.travelled_m,
-        gyroscopic_nm(design, span.direction / n * span.travelled_m / time, span.turned_rad / time),
+        design.spin_kgm * span.direction / n * span.travelled_m / time * span.turned_rad / time,
         span.tells and now.fresh,
     )
 
@@ -410,17 +414,17 @@ def _updated(
     mean, covariance = _moved(config, mean, covariance, segment, seen.turned_rad, seen.travelled_m)
     fx, fy = seen.tilting_ahead_mps2, seen.tilting_left_mps2
     variance = math.radians(config.attitude_noise_deg) ** 2
-    load_kg, rolling = float(mean[MASS]), float(mean[ROLLING])
-    wasted_nm = spent_nm(design, load_kg, rolling, seen.spin_mps2, seen.direction)
-    along, foretold = _pitched(design, mean, seen, wasted_nm)
-    across, rolled = _rolled(design, mean, seen, wasted_nm)
+    # Torque of the motors that no force on the ground comes of: spinning the wheels up, and rolling them.
+    spent_nm = design.spin_kgm * seen.spin_mps2 + seen.direction * _rolling_nm(design, mean)
+    along, foretold = _pitched(design, mean, seen, spent_nm)
+    across, rolled = _rolled(design, mean, seen, spent_nm)
     if stood and (
         _beyond(covariance, along, seen.pitch_rad - foretold, variance, config.changed_sigmas)
         or _beyond(covariance, across, seen.roll_rad - rolled, variance, config.changed_sigmas)
     ):
         covariance = covariance + _open(design)
     mean, covariance = _corrected(mean, covariance, along, seen.pitch_rad - foretold, variance)
-    across, rolled = _rolled(design, mean, seen, wasted_nm)
+    across, rolled = _rolled(design, mean, seen, spent_nm)
     mean, covariance = _corrected(mean, covariance, across, seen.roll_rad - rolled, variance)
     if seen.tells:
         row, pulled = _driven(design, mean, seen)
@@ -430,27 +434,22 @@ def _updated(
             covariance[ROLLING, ROLLING] += config.soft_resistance**2
         mean, covariance = _corrected(mean, covariance, row, off, variance)
     lever, _ = _lever(design, mean)
-    climb = -seen.pitch_rad - (fx * lever + wasted_nm) / design.pitch_nmprad
+    climb = -seen.pitch_rad - (fx * lever + spent_nm) / design.pitch_nmprad
     rise = seen.roll_rad - fy * lever / design.roll_nmprad
     return mean, covariance, _roughness(config, segment, seen.travelled_m, climb, rise)
 
 
-def gyroscopic_nm(design: PayloadDesign, wheels_mps: float, yaw_rate_radps: float) -> float:
-    """Moment in Nm that turns the wheels' spin with the robot: the body leans outward for it."""
-    return design.spin_kg * design.radius_m * wheels_mps * yaw_rate_radps
-
-
-def _pitched(design: PayloadDesign, mean: Array, seen: _Means, wasted_nm: float) -> tuple[Array, float]:
+def _pitched(design: PayloadDesign, mean: Array, seen: _Means, spent_nm: float) -> tuple[Array, float]:
     """Derivatives (9,) of the pitch by ground and load, and the pitch itself beside the strokes' own."""
     lean = seen.posed_roll_rad + _leant(design, mean, seen)
-    wasted_nm += seen.yaw_nm * lean
-    row, pitch = _pressed_forward(design, mean, seen.tilting_ahead_mps2, seen.posed_pitch_rad, wasted_nm)
+    spent_nm += seen.yaw_nm * lean
+    row, pitch = _pressed_forward(design, mean, seen.tilting_ahead_mps2, seen.posed_pitch_rad, spent_nm)
     row[CLIMB] = row[CLIMB_HERE] = -1.0
     return row, pitch - float(mean[CLIMB] + mean[CLIMB_HERE])
 
 
 def _pressed_forward(
-    design: PayloadDesign, mean: Array, fx: float, posed_rad: float, wasted_nm: float
+    design: PayloadDesign, mean: Array, fx: float, posed_rad: float, spent_nm: float
 ) -> tuple[Array, float]:
     """Derivatives (9,) of the pitch of the body on its springs, and this pitch itself."""
     lever, per_kg = _lever(design, mean)
@@ -458,7 +457,7 @@ def _pressed_forward(
     give = 1.0 / (design.pitch_nmprad + upright)
     row = np.zeros(STATES)
     row[AHEAD], row[MASS], row[UP] = GRAVITY_MPS2 * give, -fx * per_kg * give, -fx * give
-    return row, give * (GRAVITY_MPS2 * float(mean[AHEAD]) - fx * lever - upright * posed_rad - wasted_nm)
+    return row, give * (GRAVITY_MPS2 * float(mean[AHEAD]) - fx * lever - upright * posed_rad - spent_nm)
 
 
 def _leant(design: PayloadDesign, mean: Array, seen: _Means) -> float:
@@ -469,18 +468,13 @@ def _leant(design: PayloadDesign, mean: Array, seen: _Means) -> float:
     return moment / (design.roll_nmprad + upright)
 
 
-def spent_nm(
-    design: PayloadDesign, mass_kg: float, rolling_resistance: float, accel_mps2: float, ahead: float
-) -> float:
-    """Torque of the motors that no force on the ground comes of: spinning the wheels up, and rolling them.
-
-    `mass_kg` is the payload's; `ahead` is 1 of wheels that roll ahead, -1 back, 0 at rest.
-    """
-    weight = GRAVITY_MPS2 * (design.empty_kg + mass_kg)
-    return design.radius_m * (design.spin_kg * accel_mps2 + ahead * rolling_resistance * weight)
+def _rolling_nm(design: PayloadDesign, mean: Array) -> float:
+    """Torque of the motors that rolling takes."""
+    weight = GRAVITY_MPS2 * (design.empty_kg + float(mean[MASS]))
+    return design.radius_m * float(mean[ROLLING]) * weight
 
 
-def _rolled(design: PayloadDesign, mean: Array, seen: _Means, wasted_nm: float) -> tuple[Array, float]:
+def _rolled(design: PayloadDesign, mean: Array, seen: _Means, spent_nm: float) -> tuple[Array, float]:
     """Derivatives (9,) of the roll by ground and load, and the roll itself beside the strokes' own."""
     fx, fy = seen.tilting_ahead_mps2, seen.tilting_left_mps2
     per_kg = _lever(design, mean)[1]
@@ -488,7 +482,7 @@ def _rolled(design: PayloadDesign, mean: Array, seen: _Means, wasted_nm: float) 
     row = np.zeros(STATES)
     row[RISE] = row[RISE_HERE] = 1.0
     row[LEFT], row[MASS], row[UP] = -GRAVITY_MPS2 * give, fy * per_kg * give, fy * give
-    pitch = _pressed_forward(design, mean, fx, seen.posed_pitch_rad, wasted_nm)[1] + seen.posed_pitch_rad
+    pitch = _pressed_forward(design, mean, fx, seen.posed_pitch_rad, spent_nm)[1] + seen.posed_pitch_rad
     rolled = _leant(design, mean, seen) - give * seen.yaw_nm * pitch
     return row, float(mean[RISE] + mean[RISE_HERE]) + rolled
 

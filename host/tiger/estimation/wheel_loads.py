@@ -74,6 +74,8 @@ class LoadsState:
 
     payload: PayloadState
     load: Payload
+    load_sigma_n: float
+    """Of one wheel's load, by what is not known of the payload."""
     force_mps2: Three = (0.0, 0.0, GRAVITY_MPS2)
     turn_radps2: tuple[float, float] = (0.0, 0.0)
     wheels_nm: tuple[float, float] = (0.0, 0.0)
@@ -112,7 +114,8 @@ def design_loads(robot: RobotConfig) -> LoadsDesign:
 def initial_state(design: LoadsDesign) -> LoadsState:
     """Return the state before the first tick: an empty robot, more or less."""
     nothing = payload.initial_state(design.payload)
-    return LoadsState(nothing, payload.payload(design.payload, nothing))
+    load = payload.payload(design.payload, nothing)
+    return LoadsState(nothing, load, _load_sigma_n(design, load))
 
 
 def step(
@@ -162,22 +165,22 @@ def step(
         straight=not (slipping or turning),
     )
     carrying = payload.step(design.payload, state.payload, measured, dt)
-    load = state.load
+    load, load_sigma_n = state.load, state.load_sigma_n
     if carrying.mean is not state.payload.mean:
         load = payload.payload(design.payload, carrying)
+        load_sigma_n = _load_sigma_n(design, load)
     share = dt / (dt + _SMOOTH_S)
     (fx, fy, fz), (p, q) = state.force_mps2, state.turn_radps2
     turn = imu.angular_accel_radps2
     smooth = fx + share * (force[0] - fx), fy + share * (force[1] - fy), fz + share * (force[2] - fz)
-    gained_mps2 = smooth[0] + GRAVITY_MPS2 * math.sin(pitch)
-    ahead = max(-1.0, min(1.0, wheels_mps / design.payload.config.moving_mps))
-    wheels_nm = (
-        payload.spent_nm(design.payload, load.mass_kg, load.rolling_resistance, gained_mps2, ahead),
-        payload.gyroscopic_nm(design.payload, wheels_mps, rate[2]),
-    )
+    spin_kgm, gained_mps2 = design.payload.spin_kgm, smooth[0] + GRAVITY_MPS2 * pitch
+    ahead = wheels_mps / design.payload.config.moving_mps
+    if abs(ahead) > 1.0:
+        ahead = math.copysign(1.0, ahead)
+    wheels_nm = spin_kgm * gained_mps2 + ahead * load.rolling_nm, spin_kgm * wheels_mps * rate[2]
     swing = p + share * (turn[0] - p), q + share * (turn[1] - q)
     read = (False, False) if fresh else (left_read, right_read)
-    after = LoadsState(carrying, load, smooth, swing, wheels_nm, current_a, read, imu.t_s)
+    after = LoadsState(carrying, load, load_sigma_n, smooth, swing, wheels_nm, current_a, read, imu.t_s)
     return after, _loads(design, after, estimate.loads, posed)
 
 
@@ -215,7 +218,7 @@ def _loads(design: LoadsDesign, state: LoadsState, known: Loads, posed: Pose) ->
     load = state.load
     body_kg = design.payload.body_kg + load.mass_kg
     twist_m = 0.25 * known.ground_warp_m + 0.001 * posed.warp_mm
-    sigma = _sigma_n(design, load, 0.25 * known.ground_warp_sigma_m)
+    sigma = math.hypot(state.load_sigma_n, 0.25 * design.corner_npm * known.ground_warp_sigma_m)
     (x, y, z), (sx, sy, sz) = load.moment_kgm, load.moment_sigma_kgm
     return Loads(
         wheel_load_n=_twisted(_three_equations(design, state, posed), design.corner_npm * twist_m),
@@ -259,10 +262,10 @@ def _twisted(carried: Four, twist_n: float) -> Four:
     return a, b, c, d
 
 
-def _sigma_n(design: LoadsDesign, load: Payload, twist_sigma_m: float) -> float:
-    """Standard deviation of one wheel's load."""
+def _load_sigma_n(design: LoadsDesign, load: Payload) -> float:
+    """Standard deviation of one wheel's load when the ground's twist is known."""
     a, b, c = design.shares[0]
     weight = GRAVITY_MPS2 * a * load.mass_sigma_kg
     ahead = GRAVITY_MPS2 * b * load.moment_sigma_kgm[0]
     left = GRAVITY_MPS2 * c * load.moment_sigma_kgm[1]
-    return math.hypot(weight, ahead, left, design.corner_npm * twist_sigma_m, design.noise_n)
+    return math.hypot(weight, ahead, left, design.noise_n)
