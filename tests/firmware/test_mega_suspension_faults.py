@@ -64,6 +64,31 @@ def test_an_open_potentiometer_is_found_while_disarmed_too(rig):
     demand_fault(rig, Fault.POT_OPEN)
 
 
+def test_a_potentiometer_is_called_open_after_30_ms_and_not_before(armed):
+    for phase_ms in range(10):
+        armed.run_until(lambda at=phase_ms: armed.time_ms % 10 == at, 10)
+        replace_pot(armed, lambda counts: 1023.0)
+        armed.run_ms(10)
+        replace_pot(armed, lambda counts: counts)
+        armed.run_ms(100)
+        assert armed.state.state == BoardState.ARMED
+    armed.run_until(lambda: armed.time_ms % 10 == 9, 10)  # a tick begins: three of them, and the line
+    replace_pot(armed, lambda counts: 1023.0)
+    assert 30 <= armed.run_until(lambda: armed.state.state == BoardState.FAULT, LIMIT_MS) <= 35
+
+
+def test_a_noisy_potentiometer_is_cleared_only_after_it_was_quiet_for_a_while(armed):
+    at_speed(armed, 2.0)
+    replace_pot(armed, lambda counts: counts + (50.0 if armed.time_ms // 20 % 2 else -50.0))
+    demand_fault(armed, Fault.POT_NOISY)
+    assert armed.clear_faults().status == AckStatus.STILL_PRESENT
+    replace_pot(armed, lambda counts: counts)
+    armed.run_ms(60)
+    assert armed.clear_faults().status == AckStatus.STILL_PRESENT
+    armed.run_ms(200)
+    assert armed.clear_faults().status == AckStatus.OK
+
+
 @pytest.mark.parametrize("jump_counts", [25.0, 100.0])
 def test_a_potentiometer_that_jumps(armed, jump_counts):
     at_speed(armed, 2.0)
@@ -185,6 +210,30 @@ def test_a_limit_switch_pressed_at_mid_stroke(armed):
     armed.upper = 0
     armed.run_ms(50)
     assert armed.clear_faults().status == AckStatus.OK
+
+
+@pytest.mark.parametrize("side", ["lower", "upper"])
+@pytest.mark.parametrize(("from_end_mm", "is_wrong"), [(2.8, False), (3.2, True)])
+def test_a_limit_switch_may_be_pressed_within_3_mm_of_its_end_and_for_50_ms_elsewhere(
+    make_rig, side, from_end_mm, is_wrong
+):
+    rig = make_rig()
+    for actuator in rig.actuators:
+        actuator.stroke_mm = actuator.motor_mm = from_end_mm if side == "lower" else 70.0 - from_end_mm
+    rig.boot()
+    rig.arm()
+    for _ in range(3):
+        setattr(rig, side, 1 << CORNER)
+        rig.run_ms(38)
+        setattr(rig, side, 0)
+        rig.run_ms(50)
+    assert rig.state.state == BoardState.ARMED
+    setattr(rig, side, 1 << CORNER)
+    if is_wrong:
+        assert 45 <= rig.run_until(lambda: rig.state.state == BoardState.FAULT, LIMIT_MS) <= 65
+    else:
+        rig.run_ms(300)
+        assert rig.state.state == BoardState.ARMED
 
 
 def test_a_limit_switch_lost_beyond_the_end(rig):
