@@ -194,6 +194,9 @@ class Payload:
     place_sigma_m: Three = (0.0, 0.0, 0.0)
     moment_kgm: Three = (0.0, 0.0, 0.0)
     moment_sigma_kgm: Three = (0.0, 0.0, 0.0)
+    com_m: Three = (0.0, 0.0, 0.0)
+    """Of body and load, from the empty body's."""
+    com_sigma_m: Three = (0.0, 0.0, 0.0)
     lever_kgm: float = 0.0
     """Sum of mass x height above the ground, of robot and load: what accelerations tilt it with."""
     upright_nmprad: float = 0.0
@@ -295,13 +298,17 @@ def payload(design: PayloadDesign, state: PayloadState) -> Payload:
             variance = rows[axis + 1][axis + 1] - 2.0 * at * rows[0][axis + 1] + at * at * rows[0][0]
             place[axis], spread[axis] = at, min(UNKNOWN_M, math.sqrt(max(0.0, variance)) / m)
     x, y, z = moments
+    mass_kg, (_, sx, sy, sz) = max(0.0, m), sigmas
+    body_kg = design.body_kg + mass_kg
     return Payload(
-        mass_kg=max(0.0, m),
+        mass_kg=mass_kg,
         mass_sigma_kg=sigmas[0],
         place_m=(place[0], place[1], place[2]),
         place_sigma_m=(spread[0], spread[1], spread[2]),
         moment_kgm=(x, y, z),
-        moment_sigma_kgm=(sigmas[1], sigmas[2], sigmas[3]),
+        moment_sigma_kgm=(sx, sy, sz),
+        com_m=(x / body_kg, y / body_kg, z / body_kg),
+        com_sigma_m=(sx / body_kg, sy / body_kg, sz / body_kg),
         lever_kgm=_lever(design, state.mean)[0],
         upright_nmprad=_upright(design, state.mean),
         rolling_nm=_rolling_nm(design, state.mean),

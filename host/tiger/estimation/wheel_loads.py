@@ -216,10 +216,8 @@ def _read(state: LoadsState, inputs: Inputs) -> tuple[Four, bool, bool]:
 
 def _loads(design: LoadsDesign, state: LoadsState, known: Loads, posed: Pose) -> Loads:
     load = state.load
-    body_kg = design.payload.body_kg + load.mass_kg
     twist_m = 0.25 * known.ground_warp_m + 0.001 * posed.warp_mm
     sigma = math.hypot(state.load_sigma_n, 0.25 * design.corner_npm * known.ground_warp_sigma_m)
-    (x, y, z), (sx, sy, sz) = load.moment_kgm, load.moment_sigma_kgm
     return Loads(
         wheel_load_n=_twisted(_three_equations(design, state, posed), design.corner_npm * twist_m),
         wheel_load_sigma_n=(sigma, sigma, sigma, sigma),
@@ -228,8 +226,8 @@ def _loads(design: LoadsDesign, state: LoadsState, known: Loads, posed: Pose) ->
         ground_warp_sigma_m=known.ground_warp_sigma_m,
         mass_kg=design.payload.empty_kg + load.mass_kg,
         mass_sigma_kg=load.mass_sigma_kg,
-        com_m=(x / body_kg, y / body_kg, z / body_kg),
-        com_sigma_m=(sx / body_kg, sy / body_kg, sz / body_kg),
+        com_m=load.com_m,
+        com_sigma_m=load.com_sigma_m,
         payload_kg=load.mass_kg,
         payload_m=load.place_m,
         payload_sigma_m=load.place_sigma_m,
