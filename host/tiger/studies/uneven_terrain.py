@@ -7,7 +7,8 @@ The figure prints curves and no numbers. The yardstick is what actuators of 9.4 
   of it known beforehand, no lag (`control.rate_limited`);
 - the bound without foresight: the same over the next moments again and again, from the ground that the wheels
   have touched. The rear wheels' next metre is known from the front ones, the front wheels' is not;
-- the same with the delay that the robot has: of the setpoint on its way, and of the actuators.
+- the same with the delay that the robot has: of the setpoint on its way, and of the actuators. This is the
+  least that can be done with foresight from passed ground only; how near the robot comes to it is a row.
 
 All as shares: what is left of the slope under the wheels, in the RMS. The robot's share is what its body
 rolls and pitches with the suspension levelling, over what it does with the strokes held. A body does more
@@ -291,6 +292,11 @@ def _rows(robot: RobotConfig, name: str, speed_mps: float, passive: Ride, active
             *(
                 Row(f"{name}: {label}, above the {what}", float(share - least[axis]), "of passive")
                 for what, least in yardsticks.items()
+            ),
+            Row(
+                f"{name}: {label}, active over the least with foresight from passed ground only",
+                float(share / yardsticks["bound without foresight, delayed"][axis]),
+                "-",
             ),
         ]
     mean = active.attitude_deg[counted].mean(axis=0)
