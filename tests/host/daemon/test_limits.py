@@ -106,6 +106,57 @@ def test_each_limit_names_value_limit_and_next_step(robot: RobotConfig, inputs: 
     assert problem.endswith(".")
 
 
+SIDES = ("left", "right")
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("motor", [0, 1])
+@pytest.mark.parametrize("side", SIDES)
+def test_every_wheel_and_motor_is_limited_either_way(
+    robot: RobotConfig, side: str, motor: int, sign: float
+) -> None:
+    safety = robot.safety
+
+    def with_wheel(rpm: float) -> Inputs:
+        speeds = tuple(sign * rpm / limits.RPM_PER_RADPS * (k == motor) for k in range(2))
+        return replace(GOOD, **{f"wheels_{side}": replace(WHEELS, speed_radps=speeds)})  # type: ignore[arg-type]
+
+    def with_current(amps: float) -> Inputs:
+        currents = tuple(sign * amps * (k == motor) for k in range(2))
+        return replace(GOOD, **{f"drive_{side}": replace(DRIVE, motor_current_a=currents)})  # type: ignore[arg-type]
+
+    def with_heat(amps: float) -> Inputs:
+        currents = tuple(amps * (k == motor) for k in range(2))
+        return replace(GOOD, **{f"drive_{side}": replace(DRIVE, sustained_current_a=currents)})  # type: ignore[arg-type]
+
+    for inputs, most in (
+        (with_wheel, safety.max_wheel_speed_rpm),
+        (with_current, safety.max_motor_current_a),
+        (with_heat, safety.max_sustained_current_a),
+    ):
+        for is_armed in (False, True):
+            assert not found(robot, inputs(0.999 * most), armed=is_armed)
+            assert len(found(robot, inputs(1.001 * most), armed=is_armed)) == 1
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_the_worse_of_two_controllers_counts(robot: RobotConfig, side: str) -> None:
+    for changes in (
+        {"battery_v": 0.999 * robot.safety.battery_min_v},
+        {"controller_temperature_celsius": 1.001 * robot.safety.max_controller_temperature_celsius},
+    ):
+        drive = replace(DRIVE, **changes)
+        assert len(found(robot, replace(GOOD, **{f"drive_{side}": drive}))) == 1  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("axis", ["roll_rad", "pitch_rad"])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_tilt_is_limited_about_either_axis(robot: RobotConfig, axis: str, sign: float) -> None:
+    for tilt_deg, is_over in ((24.9, False), (25.1, True)):
+        estimate = replace(LEVEL, **{axis: sign * math.radians(tilt_deg)})  # type: ignore[arg-type]
+        assert bool(found(robot, GOOD, estimate)) == is_over
+
+
 @pytest.mark.parametrize(("roll_deg", "is_over"), [(24.9, False), (25.1, True), (-25.1, True)])
 def test_tilt_is_limited_either_way(robot: RobotConfig, roll_deg: float, is_over: bool) -> None:
     assert bool(found(robot, GOOD, replace(LEVEL, roll_rad=math.radians(roll_deg)))) == is_over
@@ -361,6 +412,9 @@ def test_coming_near_tipping_is_shown_with_the_side_and_what_is_left() -> None:
     assert limits.tip_warning(calm) is None
     near = replace(calm, stability=Stability(margin=0.07, edge=1, warning=True))
     assert "to the right, 7 %" in str(limits.tip_warning(near))
+    for edge, side in enumerate(("left", "right", "front", "rear")):
+        warned = replace(near, stability=replace(near.stability, edge=edge))
+        assert f"to the {side}," in str(limits.tip_warning(warned))
     hit = replace(near, stability=replace(near.stability, tripped=True))
     assert "ran into something" in str(limits.tip_warning(hit))
     assert not list(limits.exceeded(load_robot().safety, Inputs(now_s=0.0, armed=True), near, is_armed=True))
