@@ -17,7 +17,7 @@ Three things give a load away, and one hides it:
   the tail down besides. And where the left wheels push and the right ones hold back, as they do in a turn and
   for some metres after it, the tyres' side forces that answer them act in front at another height under a
   pitched body than behind: their moment times the pitch is a moment about the roll axis, and under a leaning
-  body times the roll about the pitch axis. The wheels' spin, which a turn turns round, leans the body outward.
+  body times the roll about the pitch axis. The wheels' spin, turned round in a turn, leans the body outward.
 * **The ground's slope** tilts the body as well. Rough ground averages out with the distance; a steady slope
   keeps its direction in the world, so it turns round under a robot that turns. And along x it is in the drive
   force too. What this leaves: ahead and the mass are known after some starts and stops, the side only after a
