@@ -144,6 +144,16 @@ def test_a_message_cut_short_is_refused(cut: int) -> None:
         kind.unpack(data[: max(len(data) - 1 - cut, 0)])
 
 
+def test_a_text_that_does_not_end_where_it_says_is_refused() -> None:
+    kind = message(Problem)
+    data = kind.pack(Problem(ProblemKind.PORT, "here", "is gone", "Plug it in."))
+    (size,) = struct.unpack_from("<I", data, 4)
+    unended = data[: 8 + size - 1] + b"x" + data[8 + size :]
+    for damaged in (unended, data[:4] + bytes(4) + data[8:], data[:4] + b"\xff\0\0\0" + data[8:]):
+        with pytest.raises(CdrError, match="does not end"):
+            kind.unpack(damaged)
+
+
 def test_bytes_too_many_and_other_encodings_are_refused() -> None:
     kind = message(LogStatus)
     data = kind.pack(LogStatus(1, 2))
