@@ -180,12 +180,9 @@ def step(
     phase = _phase(design, state.phase, target, error, centred=centred, astray=astray, dt=dt)
     if phase.moving:
         speed = suspension.pose(_product(ratio, rate))
+        turning = _turning(design, phase, target)
         warping = _warping(design, target, warp_error, speed)
-        if target.rolling and not target.twists:  # nothing will rest: no rate and no error is too small
-            turning, pressing = (target.roll_rate_radps, target.pitch_rate_radps), error
-        else:
-            turning = _turning(design, phase, target)
-            pressing = _pressing(design, error, turning, abs(warping) if target.twists else 0.0)
+        pressing = _pressing(design, error, turning, abs(warping) if target.twists else 0.0)
         wanted = _feedback(design, turning, pressing, ride_error, warping, speed)
         wanted = _nearest(design, wanted, min(rate_share))
         limits = _rate_limits(design, stroke_mm, rate, rate_share)

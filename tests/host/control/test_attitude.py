@@ -254,30 +254,6 @@ def test_a_rolling_robot_leaves_no_error_to_rest_and_a_standing_one_does(roll: f
     assert max(map(abs, decision.error_rad)) < math.radians(0.005)
 
 
-def rates_after(target: Target, ticks: int = 40) -> Pose:
-    """What the actuators are told to turn at by then, strokes held in the middle, a move being under way."""
-    state = LevelingState(phase=attitude.Phase(moving=True, still_time_s=1.0))
-    for _ in range(ticks):
-        state, decision = attitude.step(DESIGN, state, target, MID, DT)
-    _, ratios = zip(*(SUSPENSION.curve.at(stroke) for stroke in MID), strict=True)
-    return SUSPENSION.pose(tuple(m * v for m, v in zip(ratios, decision.command_mmps, strict=True)))
-
-
-def test_a_rolling_robot_serves_a_small_error_while_the_other_axis_needs_all_there_is() -> None:
-    pitch_deg = 1.05 * math.degrees(DESIGN.turn_limits_radps[1] / DESIGN.error_gain_per_s)
-    target = level_target(0.1, 3.0 * pitch_deg)
-    slower = level_target(0.1, pitch_deg)
-    assert abs(rates_after(slower, 4).roll_rad) < 1e-9
-    assert rates_after(replace(slower, rolling=True), 4).roll_rad > 0.0
-    assert rates_after(replace(target, rolling=True)).roll_rad == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_rolling_robot_follows_the_slowest_turning() -> None:
-    slow = replace(level_target(0.0), roll_rate_radps=0.5 * DESIGN.still_radps)
-    assert rates_after(slow).roll_rad == 0.0
-    assert rates_after(replace(slow, rolling=True)).roll_rad == pytest.approx(slow.roll_rate_radps, rel=0.05)
-
-
 def test_a_robot_that_has_stopped_rests_after_the_still_time() -> None:
     target = level_target(0.2)
     state, commands = LevelingState(), []
