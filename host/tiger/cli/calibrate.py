@@ -277,10 +277,11 @@ def _told() -> Iterator[None]:
     """Say what went wrong instead of showing a traceback."""
     from tiger.calibration.procedure import CalibrationError
     from tiger.config.errors import ConfigError
+    from tiger.models.eam import MechanismError
 
     try:
         yield
-    except ConfigError as error:
+    except (ConfigError, MechanismError) as error:
         _fail(str(error))
     except CalibrationError as error:
         typer.echo(str(error), err=True)

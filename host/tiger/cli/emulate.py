@@ -55,11 +55,12 @@ def emulate(
     from tiger.emulation.robot import EmulatedRobot
     from tiger.emulation.scenarios import load_scenario
     from tiger.emulation.serve import LINKS, PtyRobot
+    from tiger.models.eam import MechanismError
 
     console = Console(highlight=False)
     try:
         robot = EmulatedRobot(load_vehicle(vehicle), load_scenario(scenario), seed=seed)
-    except ConfigError as error:
+    except (ConfigError, MechanismError) as error:
         Console(stderr=True).print(str(error), style="red", markup=False)
         raise typer.Exit(2) from None
 

@@ -223,6 +223,7 @@ def run(
     from tiger.config.errors import ConfigError
     from tiger.config.robot import load_robot
     from tiger.logs.errors import LogError
+    from tiger.models.eam import MechanismError
 
     if virtual_time and emulate is None:
         _fail("--virtual-time needs --emulate SCENARIO: a real robot lives in real time")
@@ -241,7 +242,7 @@ def run(
                 outcome = _run_virtual(robot, emulate, seed, wishes)
             else:
                 outcome = _run_emulated(robot, emulate, seed, wishes)
-    except (ConfigError, LogError) as error:
+    except (ConfigError, LogError, MechanismError) as error:
         _fail(str(error))
     journal, lateness = outcome
     if json_file is not None:

@@ -19,6 +19,7 @@ from multiprocessing.sharedctypes import RawArray, RawValue
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from tiger.config.errors import ConfigError
 from tiger.config.robot import PortsConfig
 from tiger.emulation.serve import MOST_BEHIND_S
 from tiger.rig.spawn import start_undisturbed
@@ -34,6 +35,7 @@ START_TIME_S = 300.0
 HOST_STALLED_S = 0.01
 """A host that has not asked for the time for so long is not running: the robot waits for it."""
 PAUSE_S = 0.001
+REFUSAL = "refusal"  # file in which a robot that cannot be built says why
 
 
 class SeparateTruth(NamedTuple):
@@ -121,8 +123,10 @@ class SeparateRobot:
         while not self._ready.wait(0.1):
             if self._process.is_alive() and time.monotonic() < deadline_s:
                 continue
+            refusal = Path(self._folder.name, REFUSAL)
+            said = refusal.read_text(encoding="utf-8") if refusal.exists() else ""
             self.__exit__()
-            raise RuntimeError("the emulated robot did not start; run `tiger emulate` to see why")
+            raise ConfigError(said or "the emulated robot did not start; run `tiger emulate` to see why")
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -157,7 +161,11 @@ def _serve(
             time.sleep(PAUSE_S)
         return True
 
-    robot = EmulatedRobot(vehicle, load_scenario(scenario), seed=seed)
+    try:
+        robot = EmulatedRobot(vehicle, load_scenario(scenario), seed=seed)
+    except (ConfigError, ValueError) as error:  # the parent tells it
+        Path(folder, REFUSAL).write_text(str(error), encoding="utf-8")
+        return
     with PtyRobot(robot, Path(folder)) as served:
         ready.set()
         while not begin.wait(1.0):

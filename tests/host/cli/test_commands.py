@@ -338,6 +338,30 @@ def test_a_scenario_that_drives_faster_than_the_robot_may_is_refused(
     assert f"{file}: drive.0.speed_mps = 30: is beyond ±3, drive.max_speed_mps" in result.output
 
 
+@pytest.mark.parametrize("pace", [[], ["--virtual-time"]])
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ("initial_stroke_mm = [99.0, 0.0, 0.0, 0.0]", "initial_stroke_mm of FL = 99 is outside 0..70"),
+        ('[[fault]]\nat_s = 1.0\ntarget = "moon"\nkind = "full"', "no 'full' of 'moon'; targets are"),
+    ],
+)
+def test_a_scenario_that_this_robot_cannot_have_is_refused_in_one_message(
+    wrong: str,
+    message: str,
+    pace: list[str],
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    file = tmp_path / "wrong.toml"
+    file.write_text(f'title = "t"\nduration_s = 1.0\nmodel = "linear"\n{wrong}\n')
+    result = tiger("run", "--emulate", str(file), *pace, monkeypatch=monkeypatch)
+    assert result.exit_code == 2
+    assert message in result.output
+    assert "Traceback" not in result.output + capfd.readouterr().err
+
+
 def test_a_robot_that_is_not_there_is_described_and_fails_only_if_it_should_have_armed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
