@@ -25,6 +25,7 @@ from tiger.emulation.serve import MOST_BEHIND_S
 from tiger.rig.spawn import start_undisturbed
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from multiprocessing.synchronize import Event
 
     from tiger.config.vehicle import VehicleConfig
@@ -60,10 +61,14 @@ class _Shared:
 
 
 class RobotClock:
-    """The monotonic clock without what stalls took away: never further ahead of the robot than it may be."""
+    """The monotonic clock without what stalls took away: never further ahead of the robot than it may be.
 
-    def __init__(self, shared: _Shared) -> None:
+    A robot whose process has died holds no time up: the daemon shall notice that it is gone.
+    """
+
+    def __init__(self, shared: _Shared, lives: Callable[[], bool]) -> None:
         self._shared = shared
+        self._lives = lives
         self._now_s = 0.0
 
     def now_s(self) -> float:
@@ -72,7 +77,9 @@ class RobotClock:
         now_s = shared.asked_s.value = time.monotonic()
         if shared.began_s.value:
             robot_s = shared.began_s.value + shared.truth[0]
-            now_s = min(now_s - shared.skipped_s.value, robot_s + MOST_BEHIND_S)
+            now_s -= shared.skipped_s.value
+            if now_s > robot_s + MOST_BEHIND_S and self._lives():
+                now_s = robot_s + MOST_BEHIND_S
         self._now_s = max(self._now_s, now_s)
         return self._now_s
 
@@ -85,7 +92,6 @@ class SeparateRobot:
         context = multiprocessing.get_context("spawn")
         self._folder = tempfile.TemporaryDirectory(prefix="tiger-")
         self._shared = _Shared()
-        self.clock = RobotClock(self._shared)
         self._ready = context.Event()
         self._begin = context.Event()
         self._process = context.Process(
@@ -93,6 +99,7 @@ class SeparateRobot:
             args=(vehicle, scenario, seed, self._folder.name, self._shared, self._ready, self._begin),
             daemon=True,
         )
+        self.clock = RobotClock(self._shared, self._process.is_alive)
 
     @property
     def ports(self) -> PortsConfig:
