@@ -340,7 +340,7 @@ def test_telemetry_comes_every_10_ms_with_the_time_of_its_sample(armed):
 
 
 def test_raw_readings_and_switches_come_ten_times_a_second(armed):
-    armed.lower, armed.upper = 0b0001, 0b1000
+    armed.lower, armed.upper = 0b0010, 0b1000
     armed.run_ms(30)
     before = len(armed.wire.all(SuspensionRaw))
     armed.run_ms(1000)
@@ -349,10 +349,10 @@ def test_raw_readings_and_switches_come_ten_times_a_second(armed):
     sums = [16 * armed.counts(stroke_mm) for stroke_mm in armed.strokes_mm]
     for raw in raws:
         assert raw.pot_counts == pytest.approx(sums, abs=16)
-        assert raw.switches == 0x081
+        assert raw.switches == 0x082
     armed.estop = True
     armed.run_ms(150)
-    assert armed.wire.last(SuspensionRaw).switches == 0x181
+    assert armed.wire.last(SuspensionRaw).switches == 0x182
 
 
 # --------------------------------------------------------------------------------------------- moves
