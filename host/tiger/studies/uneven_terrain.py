@@ -403,7 +403,7 @@ def _shares(report: Report, speeds: list[str], path: Path) -> Path:
                 axes.plot([float(kmh) for kmh in speeds], shares, style, label=name)
             axes.set_title(label)
             axes.set_xlabel("speed (km/h)")
-        axes.legend()
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4, fontsize=8)
         figure.supylabel("share of passive", fontsize=9)
         figure.savefig(path, dpi=110)
     return path
