@@ -161,7 +161,9 @@ def test_broken_ground_is_told_with_caution(seed: int) -> None:
 
 
 @pytest.mark.parametrize(("swing_deg", "noise"), [(0.0, min), (0.1, max)])
-def test_slopes_that_a_swinging_load_bends_are_trusted_less(swing_deg: float, noise: Callable) -> None:
+def test_slopes_that_a_swinging_load_bends_are_trusted_less(
+    swing_deg: float, noise: Callable[..., float]
+) -> None:
     """At 1 m/s a swing of 2 Hz looks like waves of half a metre."""
     slopes = rolling_ground(1)
 
