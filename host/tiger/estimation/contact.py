@@ -61,7 +61,10 @@ _LEAST_LOG = -6.0
 _MODEL_SHARE = 0.1
 """Of a turn by the strokes: what the weight's lever and unequal springs may add to it."""
 _SWING_S = 0.04
-"""The body swings about its strokes by what they move in this time."""
+"""The body swings about its strokes by what they move in this time ..."""
+_TOPPLE_S = 0.1
+"""... and one that turns beyond its strokes topples from one wheel to the other: it is not yet where it will
+stand by what it turns in this time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -260,8 +263,13 @@ def _updated(
             abs(posed_rad[1] - state.posed_rad[1]),
             design.pitch_per_mm * twisted_mm,
         )
-        rate_radps = moved_rad / (inputs.now_s - state.at_s)
-        belief = _compared(design, belief, slope_rad, moved_rad, rate_radps, driven_m)
+        since_s = inputs.now_s - state.at_s
+        swing_rad = math.hypot(
+            _SWING_S * moved_rad / since_s,
+            _TOPPLE_S * (estimate.roll_rate_radps - (posed_rad[0] - state.posed_rad[0]) / since_s),
+            _TOPPLE_S * (estimate.pitch_rate_radps - (posed_rad[1] - state.posed_rad[1]) / since_s),
+        )
+        belief = _compared(design, belief, slope_rad, moved_rad, swing_rad, driven_m)
         if twisted_mm > _STILL_MM:
             belief = _tipped(belief, pose.warp_mm, lift_off_mm)
     contact = _found(design, belief.probability, pose.warp_mm, lift_off_mm)
@@ -336,12 +344,13 @@ def _compared(
     belief: Belief,
     slope_rad: Array,
     moved_rad: float,
-    rate_radps: float,
+    swing_rad: float,
     driven_m: float,
 ) -> Belief:
     """Weigh each candidate by how well it foretold roll and pitch, and let it learn the slope.
 
-    `moved_rad`: how far the strokes have turned the body since the last time, or may have, and at which rate.
+    `moved_rad`: how far the strokes have turned the body since the last time, or may have; `swing_rad`: how
+    far it may be from where it comes to rest.
     """
     missed = slope_rad - belief.offset_rad
     squares = missed * missed
@@ -350,7 +359,7 @@ def _compared(
     other_rad2 = float(wrong.min()) if moved_rad < _STILL_MM * design.pitch_per_mm else 0.0
     slope_rad2 = design.drift_rad2 + (_MODEL_SHARE * moved_rad) ** 2 + design.slope_rad2_per_m * driven_m
     prior = belief.variance_rad2 + slope_rad2 + other_rad2
-    noise = design.noise_rad2 + (_SWING_S * rate_radps) ** 2
+    noise = design.noise_rad2 + swing_rad * swing_rad
     gain = prior / (prior + noise)
     wrong -= wrong.min()
     wrong *= -0.5 / (prior + noise)
