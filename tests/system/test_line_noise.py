@@ -17,7 +17,7 @@ from tiger.record import DaemonState
 from tiger.rig.virtual import Rig
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 NOISE = 1e-3
 
@@ -67,15 +67,14 @@ def noisy_minutes(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], tuple[Ri
             load_robot(None), load_scenario("shaking-plate"), seed=11, noise=LineNoise.everything(NOISE)
         )
         witness = Witness(rig)
-        feed = frame.FrameDecoder.feed
+        each = frame.FrameDecoder.each
 
-        def watched(self: frame.FrameDecoder, data: bytes) -> list[frame.Received]:
-            frames = feed(self, data)
-            for one in frames:
+        def watched(self: frame.FrameDecoder, data: bytes) -> Iterator[frame.Received]:
+            for one in each(self, data):
                 witness.check(one)
-            return frames
+                yield one
 
-        monkeypatch.setattr(frame.FrameDecoder, "feed", watched)
+        monkeypatch.setattr(frame.FrameDecoder, "each", watched)
         rig.daemon.arm(10.0)
         worst_deg = 0.0
         for record in rig.run(60.0 * minutes):
