@@ -61,10 +61,8 @@ _LEAST_LOG = -6.0
 _MODEL_SHARE = 0.1
 """Of a turn by the strokes: what the weight's lever and unequal springs may add to it."""
 _SWING_S = 0.04
-"""The body swings about its strokes by what they move in this time ..."""
-_TOPPLE_S = 0.1
-"""... and one that turns beyond its strokes topples from one wheel to the other: it is not yet where it will
-stand by what it turns in this time."""
+"""The body swings about its strokes by what they move in this time. One that turns beyond them topples from
+one wheel to another: it is as far from where it will stand as it turns in this time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -264,10 +262,10 @@ def _updated(
             design.pitch_per_mm * twisted_mm,
         )
         since_s = inputs.now_s - state.at_s
-        swing_rad = math.hypot(
-            _SWING_S * moved_rad / since_s,
-            _TOPPLE_S * (estimate.roll_rate_radps - (posed_rad[0] - state.posed_rad[0]) / since_s),
-            _TOPPLE_S * (estimate.pitch_rate_radps - (posed_rad[1] - state.posed_rad[1]) / since_s),
+        swing_rad = _SWING_S * math.hypot(
+            moved_rad / since_s,
+            estimate.roll_rate_radps - (posed_rad[0] - state.posed_rad[0]) / since_s,
+            estimate.pitch_rate_radps - (posed_rad[1] - state.posed_rad[1]) / since_s,
         )
         belief = _compared(design, belief, slope_rad, moved_rad, swing_rad, driven_m)
         if twisted_mm > _STILL_MM:
