@@ -8,7 +8,7 @@ import os
 import sys
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -24,6 +24,12 @@ JsonFile = Annotated[
 ]
 
 
+def fail(message: object) -> NoReturn:
+    """End the program with what cannot be done as it was asked for, why, and the next step."""
+    typer.echo(str(message), err=True)
+    raise typer.Exit(2)
+
+
 def refuse_unwritable(file: Path | None) -> None:
     """End the program with one line if a result could not be written; better now than after the work."""
     if file is None or str(file) == "-":
@@ -37,8 +43,7 @@ def refuse_unwritable(file: Path | None) -> None:
     elif not os.access(file if file.exists() else folder, os.W_OK):
         why = "not permitted"
     if why is not None:
-        typer.echo(f"{file}: cannot be written ({why}); choose another place", err=True)
-        raise typer.Exit(2)
+        fail(f"{file}: cannot be written ({why}); choose another place")
 
 
 def write_json(file: Path, data: Any, indent: int | None = 1) -> None:
@@ -50,8 +55,7 @@ def write_json(file: Path, data: Any, indent: int | None = 1) -> None:
     try:
         file.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
-        typer.echo(f"{file}: cannot be written ({error.strerror}); choose another place", err=True)
-        raise typer.Exit(2) from None
+        fail(f"{file}: cannot be written ({error.strerror}); choose another place")
 
 
 @contextmanager
@@ -68,8 +72,7 @@ def make_folder(folder: Path) -> None:
         if not os.access(folder, os.W_OK):
             raise PermissionError(errno.EACCES, "not permitted")
     except OSError as error:
-        typer.echo(f"{folder}: cannot be written ({error.strerror}); choose another folder", err=True)
-        raise typer.Exit(2) from None
+        fail(f"{folder}: cannot be written ({error.strerror}); choose another folder")
 
 
 def scenario_names() -> list[str]:

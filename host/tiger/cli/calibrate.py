@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tiger.cli.answers import JsonFile, aside, make_folder, refuse_unwritable, scenario_names, write_json
+from tiger.cli.answers import (
+    JsonFile,
+    aside,
+    fail,
+    make_folder,
+    refuse_unwritable,
+    scenario_names,
+    write_json,
+)
 from tiger.cli.main import INTERRUPTED
 
 if TYPE_CHECKING:
@@ -159,9 +167,9 @@ def wheels(
     from tiger.calibration.wheels import as_toml
 
     if not (arm or emulate):
-        _fail("wheels: the robot has to drive for it; give --arm when its way is clear")
+        fail("wheels: the robot has to drive for it; give --arm when its way is clear")
     if turns == 0:
-        _fail("wheels: --turns 0 turns nothing; ask for at least one")
+        fail("wheels: --turns 0 turns nothing; ask for at least one")
     refuse_unwritable(output)
     wishes = _Wishes(config, emulate, seed, True, json_file)
     course = Course(distance, turns, turn_speed)
@@ -282,20 +290,15 @@ def _told() -> Iterator[None]:
     try:
         yield
     except (ConfigError, MechanismError) as error:
-        _fail(str(error))
+        fail(str(error))
     except CalibrationError as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(1) from None
     except (KeyboardInterrupt, typer.Abort) as error:  # at a prompt, Ctrl-C and the input's end are one
         if isinstance(error.__context__, EOFError):
-            _fail("\nThe input ended before the answer: nothing was stored; run it in a terminal")
+            fail("\nThe input ended before the answer: nothing was stored; run it in a terminal")
         typer.echo("\nEnded by you: everything is disarmed, nothing was stored.", err=True)
         raise typer.Exit(INTERRUPTED) from None
-
-
-def _fail(message: str) -> None:
-    typer.echo(message, err=True)
-    raise typer.Exit(2)
 
 
 def _show(name: str, result: Result) -> None:
@@ -327,7 +330,7 @@ def _write(file: Path, text: str) -> None:
     try:
         file.write_text(text, encoding="utf-8")
     except OSError as error:
-        _fail(f"{file}: cannot be written ({error.strerror}); choose another place")
+        fail(f"{file}: cannot be written ({error.strerror}); choose another place")
 
 
 class _Screen:

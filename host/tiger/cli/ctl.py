@@ -7,10 +7,11 @@ import math
 import re
 import time
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tiger.cli.answers import fail
 from tiger.daemon.client import Refused, Robot
 from tiger.record import Mode
 
@@ -44,15 +45,15 @@ def connected() -> Iterator[Robot]:
     except (FileNotFoundError, ConnectionRefusedError):
         from tiger.daemon.client import socket_path
 
-        _fail(f"no daemon listens on {socket_path()}; start it: tiger run")
+        fail(f"no daemon listens on {socket_path()}; start it: tiger run")
     except PermissionError:
         from tiger.daemon.client import socket_path
 
-        _fail(f"{socket_path()} belongs to another user; run this as the user of the daemon")
+        fail(f"{socket_path()} belongs to another user; run this as the user of the daemon")
     except TimeoutError:
-        _fail("the daemon does not answer; look at its terminal, or: systemctl status tiger")
+        fail("the daemon does not answer; look at its terminal, or: systemctl status tiger")
     except OSError as error:
-        _fail(f"the connection to the daemon broke ({error}); is it still running?")
+        fail(f"the connection to the daemon broke ({error}); is it still running?")
 
 
 def in_degrees(refusal: str) -> str:
@@ -64,11 +65,6 @@ def in_degrees(refusal: str) -> str:
         return f"{name} = {asked} is outside {least} to {most} degrees{'/s' if rate else ''}"
 
     return LIMIT.sub(told, refusal)
-
-
-def _fail(message: str) -> NoReturn:
-    typer.echo(message, err=True)
-    raise typer.Exit(2)
 
 
 def _say(answer: dict[str, Any], as_json: bool) -> None:
@@ -131,7 +127,7 @@ def mode(
 ) -> None:
     """Change what the suspension does."""
     if name not in [*Mode]:
-        _fail(f"{name}: is no mode; choose one of {', '.join(Mode)}")
+        fail(f"{name}: is no mode; choose one of {', '.join(Mode)}")
     _ask("mode", as_json, mode=name)
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tiger.cli.answers import JsonFile, reading, refuse_unwritable, write_json
+from tiger.cli.answers import JsonFile, fail, reading, refuse_unwritable, write_json
 
 if TYPE_CHECKING:
     from tiger.calibration.identify import Identification
@@ -35,7 +35,7 @@ def identify(
             recording = read(opened)
         found = estimate(recording, opened.robot())
     except (LogError, IdentifyError, MechanismError) as error:
-        _fail(f"{log}: {error}" if isinstance(error, IdentifyError) else error)
+        fail(f"{log}: {error}" if isinstance(error, IdentifyError) else error)
     for text in opened.damage:
         typer.echo(text, err=True)
     to_screen = str(json_file) == "-"
@@ -47,12 +47,7 @@ def identify(
         if plots is not None:
             typer.echo(f"plot: {plot(found, plots)}", err=to_screen)
     except OSError as error:
-        _fail(f"{error.filename}: cannot be written ({error.strerror}); choose another place")
-
-
-def _fail(message: object) -> NoReturn:
-    typer.echo(str(message), err=True)
-    raise typer.Exit(2)
+        fail(f"{error.filename}: cannot be written ({error.strerror}); choose another place")
 
 
 def _show(found: Identification) -> None:

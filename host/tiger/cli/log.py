@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tiger.cli.answers import JsonFile, make_folder, reading, refuse_unwritable, starting, write_json
+from tiger.cli.answers import JsonFile, fail, make_folder, reading, refuse_unwritable, starting, write_json
 
 if TYPE_CHECKING:
     from tiger.logs.replay import Replayed
@@ -30,11 +30,6 @@ export = typer.Typer(
 app.add_typer(export, name="export")
 
 LogPath = Annotated[Path, typer.Argument(metavar="LOG", help="A log file, or a folder: its newest log.")]
-
-
-def _fail(message: object) -> NoReturn:
-    typer.echo(str(message), err=True)
-    raise typer.Exit(2)
 
 
 @app.command()
@@ -61,7 +56,7 @@ def info(
                 [f"{f.path.name}: {text}" for f in opened.files for text in examine(f.path)] if check else []
             )
     except LogError as error:
-        _fail(error)
+        fail(error)
     if json_file is not None:
         write_json(json_file, summary.as_json() | ({"findings": findings} if check else {}))
     if str(json_file) != "-":
@@ -138,11 +133,11 @@ def plot(
         with reading(opened, "reading, then drawing"):
             paths = draw(opened, out)
     except LogError as error:
-        _fail(error)
+        fail(error)
     except OSError as error:
-        _fail(f"{out}: cannot be written ({error.strerror}); choose another folder with --out")
+        fail(f"{out}: cannot be written ({error.strerror}); choose another folder with --out")
     if not paths:
-        _fail(f"{log}: holds no ticks, so there is nothing to draw")
+        fail(f"{log}: holds no ticks, so there is nothing to draw")
     for path in paths:
         typer.echo(path)
 
@@ -169,16 +164,14 @@ def export_csv(
         with reading(opened, "reading, then again writing"):
             rows = csv_files(opened, out, topic or None)
     except (LogError, CdrError) as error:
-        _fail(error)
+        fail(error)
     except OSError as error:
-        _fail(f"{out}: cannot be written ({error.strerror}); choose another folder with --out")
+        fail(f"{out}: cannot be written ({error.strerror}); choose another folder with --out")
     for path, count in rows.items():
         typer.echo(f"{path}: {count} rows")
     absent = [name for name in topic or [] if csv_file(out, name) not in rows]
     if absent or not rows:
-        _fail(
-            f"{log}: has no messages on {', '.join(absent or ['any topic'])}; `tiger log info` lists topics"
-        )
+        fail(f"{log}: has no messages on {', '.join(absent or ['any topic'])}; `tiger log info` lists topics")
 
 
 @export.command("wire")
@@ -199,9 +192,9 @@ def export_wire(
         with reading(opened, "writing"):
             sizes = wire_files(opened, out)
     except LogError as error:
-        _fail(error)
+        fail(error)
     except OSError as error:
-        _fail(f"{out}: cannot be written ({error.strerror}); choose another folder with --out")
+        fail(f"{out}: cannot be written ({error.strerror}); choose another folder with --out")
     for path, size in sizes.items():
         typer.echo(f"{path}: {size} bytes")
 
@@ -218,7 +211,7 @@ def frames(log: LogPath) -> None:
         with reading(opened, "looking for stops"):
             reports = [logged.value() for logged in opened.messages((FAULT,))]
     except LogError as error:
-        _fail(error)
+        fail(error)
     if not reports:
         typer.echo("The robot never stopped by itself.")
     for report in reports:
@@ -268,7 +261,7 @@ def replay(
         with reading(opened, "stepping"):
             found = step_again(opened, robot)
     except (LogError, ConfigError) as error:
-        _fail(error)
+        fail(error)
     if json_file is not None:
         write_json(json_file, _replay_json(found, opened.damage))
     if str(json_file) != "-":

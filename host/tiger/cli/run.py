@@ -9,11 +9,11 @@ import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tiger.cli.answers import refuse_unwritable, scenario_names, starting, write_json
+from tiger.cli.answers import fail, refuse_unwritable, scenario_names, starting, write_json
 from tiger.record import Command, DaemonState, Record
 
 if TYPE_CHECKING:
@@ -226,7 +226,7 @@ def run(
     from tiger.models.eam import MechanismError
 
     if virtual_time and emulate is None:
-        _fail("--virtual-time needs --emulate SCENARIO: a real robot lives in real time")
+        fail("--virtual-time needs --emulate SCENARIO: a real robot lives in real time")
     wishes = Wishes(
         arm or emulate is not None, speed, math.radians(yaw_rate), duration, log, json_file is not None
     )
@@ -243,7 +243,7 @@ def run(
             else:
                 outcome = _run_emulated(robot, emulate, seed, wishes)
     except (ConfigError, LogError, MechanismError) as error:
-        _fail(str(error))
+        fail(str(error))
     journal, lateness = outcome
     if json_file is not None:
         report = {"summary": journal.summary(lateness), "series": journal.series}
@@ -264,13 +264,8 @@ def _check(wishes: Wishes, robot: RobotConfig, json_file: Path | None) -> None:
     )
     for option, value, most, unit, key in asked:
         if not abs(value) <= most:  # nan is refused too
-            _fail(f"{option} {value:g}: is outside ±{most:g} {unit} ({key} under [drive]); ask for less")
+            fail(f"{option} {value:g}: is outside ±{most:g} {unit} ({key} under [drive]); ask for less")
     refuse_unwritable(json_file)
-
-
-def _fail(message: str) -> NoReturn:
-    typer.echo(message, err=True)
-    raise typer.Exit(2)
 
 
 class _Driver:
@@ -447,7 +442,7 @@ def _scenario(robot: RobotConfig, name: str, wishes: Wishes) -> Scenario:
 
     scenario = load_scenario(name, robot.drive)
     if (scenario.drive or scenario.waypoint) and (wishes.speed_mps or wishes.yaw_rate_radps):
-        _fail(f"{name} drives by its own plan; leave out --speed and --yaw-rate, or take another scenario")
+        fail(f"{name} drives by its own plan; leave out --speed and --yaw-rate, or take another scenario")
     return scenario
 
 

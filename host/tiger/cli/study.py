@@ -6,11 +6,11 @@ import importlib
 import inspect
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from tiger.cli.answers import make_folder, refuse_unwritable, write_json
+from tiger.cli.answers import fail, make_folder, refuse_unwritable, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -136,7 +136,7 @@ def _run(module_name: str, parameters: dict[str, Any], json_path: Path | None, p
     refuse_unwritable(json_path)
     for parameter, value in parameters.items():
         if isinstance(value, float) and not math.isfinite(value):
-            _fail(
+            fail(
                 f"--{parameter.replace('_', '-')} {value:g}: cannot be calculated with; give a finite number"
             )
         if isinstance(value, Path):
@@ -156,11 +156,11 @@ def _run(module_name: str, parameters: dict[str, Any], json_path: Path | None, p
         else:
             report = module.run(**parameters)
     except ValidationError as error:
-        _fail(str(ConfigError.from_validation(error, f"study {name}")))
+        fail(str(ConfigError.from_validation(error, f"study {name}")))
     except OSError as error:
-        _fail(f"study {name}: {error.filename or 'a file'} cannot be used ({error.strerror}); choose another")
+        fail(f"study {name}: {error.filename or 'a file'} cannot be used ({error.strerror}); choose another")
     except (ConfigError, ValueError) as error:
-        _fail(f"study {name}: {error}")
+        fail(f"study {name}: {error}")
     console.print(report.table())
     for choice, value in report.assumptions.items():
         console.print(f"  {choice}: {value}", style="dim", markup=False, highlight=False)
@@ -169,11 +169,6 @@ def _run(module_name: str, parameters: dict[str, Any], json_path: Path | None, p
     if plots is not None:
         for path in module.plot(report, plots):
             console.print(f"plot: {path}", markup=False, highlight=False)
-
-
-def _fail(message: str) -> NoReturn:
-    typer.echo(message, err=True)
-    raise typer.Exit(2)
 
 
 def _command(module_name: str) -> Callable[..., None]:

@@ -22,10 +22,11 @@ import tty
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
+from tiger.cli.answers import fail
 from tiger.cli.ctl import connected
 from tiger.daemon.client import Refused, Robot
 
@@ -255,7 +256,7 @@ def _find_gamepad(path: str) -> Path:
         return Path(path)
     found = sorted(Path("/").glob(WHERE[1:]))
     if not found:
-        _fail(f"no gamepad matches {WHERE}; connect it, or name its /dev/input/event*")
+        fail(f"no gamepad matches {WHERE}; connect it, or name its /dev/input/event*")
     return found[0]
 
 
@@ -265,18 +266,13 @@ def _refuse_unusable(path: Path) -> None:
         device = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except OSError as error:
         if str(path) == Keyboard.path:
-            _fail("there is no terminal to read keys from; run it in one, or drive with --gamepad")
+            fail("there is no terminal to read keys from; run it in one, or drive with --gamepad")
         permit = "; join the group input" if isinstance(error, PermissionError) else ""
-        _fail(f"{path}: cannot be read ({error.strerror}){permit or '; name its /dev/input/event*'}")
+        fail(f"{path}: cannot be read ({error.strerror}){permit or '; name its /dev/input/event*'}")
     kind = os.fstat(device)
     os.close(device)
     if str(path) != Keyboard.path and not (stat.S_ISCHR(kind.st_mode) and os.major(kind.st_rdev) == INPUT):
-        _fail(f"{path}: is no gamepad; name its /dev/input/event*, or auto")
-
-
-def _fail(message: str) -> NoReturn:
-    typer.echo(message, err=True)
-    raise typer.Exit(2)
+        fail(f"{path}: is no gamepad; name its /dev/input/event*, or auto")
 
 
 # ---- the program --------------------------------------------
